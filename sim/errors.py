@@ -67,6 +67,11 @@ def unreadable(file: Path | str, what: str, error: Exception) -> str:
     return f"{one_line(file, 1000)}: not a readable {what}: {one_line(said, 200) or type(error).__name__}"
 
 
+def option(name: str) -> str:
+    """Return a name as it is typed on the command line: `delay_s` is `--delay-s`."""
+    return f"--{name.replace('_', '-')}"
+
+
 def one_line(value: object, most: int) -> str:
     """Return a text of at most so many characters, all in one line and printable."""
     text = str(value)

@@ -11,9 +11,9 @@ from typing import get_args
 import pytest
 
 from dsrc.cli import options
-from dsrc.cli.list import Things
 from dsrc.cli.main import run
 from dsrc.cli.progress import progress
+from dsrc.cli.scenario import Things
 from dsrc.options import detection, fields
 from dsrc.options.drives import DriveOptions
 from tests.command_line import FROZEN, RENEW, command_line, commands
@@ -196,9 +196,29 @@ def test_a_dataset_is_not_generated_and_a_scenario_not_built(tmp_path: Path) -> 
     out = ("--out", str(tmp_path / "x"))
     assert_one_line(dsrc("generate", "dsrc-sim", *out), "scenario", "dsrc dataset build dsrc-sim")
     assert_one_line(dsrc("dataset", "build", "dsrc-sim", "--splits", "tset", *out), "split", "'test'")
-    assert_one_line(dsrc("dataset", "build", "four_way", *out), "four_way", "split")
+    assert_one_line(dsrc("dataset", "build", "four_way", *out), "four_way is a scenario", "dsrc generate four_way")
     assert_one_line(dsrc("dataset", "render", str(tmp_path / "none"), *out), "traffic.npz", "no such folder")
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "right"),
+    [
+        ("[[split.test]]\n", "dsrc dataset build {path} --out "),
+        ("[[methods]]\n", "dsrc benchmark {path} --out "),
+        ("scenarios = ['four_way']\n", "dsrc drive {path} --out "),
+        ("[demand]\n", "dsrc generate {path} --out "),
+    ],
+)
+def test_a_toml_names_the_command_that_takes_it(tmp_path: Path, content: str, right: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(content)
+    command = right.format(path=path)
+    for words in (("generate",), ("dataset", "build"), ("benchmark",), ("drive",)):
+        begin = " ".join(words)
+        if not command.startswith(f"dsrc {begin} ") and (begin, content) != ("drive", "[demand]\n"):
+            result = dsrc(*words, str(path), *(("--out", str(tmp_path / "x")) if begin != "drive" else ()))
+            assert_one_line(result, f"{begin}: {path} is a ", f"run: {command}")
 
 
 def test_an_empty_folder_is_not_a_dataset(tmp_path: Path) -> None:

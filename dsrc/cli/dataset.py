@@ -5,6 +5,7 @@ import sys
 import msgspec
 
 from dsrc.cli.progress import progress
+from dsrc.cli.toml_files import require_kind
 from dsrc.options.drives import BuildOptions, Changes, ConvertOptions, CorruptOptions, GenerateOptions
 from dsrc.options.fields import Data, Folder, Output, Splits
 from dsrc.runs.executors import Pool
@@ -28,13 +29,9 @@ class Generate(GenerateOptions, frozen=True):
 
     def run(self) -> None:
         """Write the drive and print its folder."""
-        from dsrc.data.datasets.spec import find_split_file
         from dsrc.data.write import generate
-        from sim.errors import SettingsError, complaint
 
-        if find_split_file(str(self.scenario)) is not None:
-            hint = f"; run: dsrc dataset build {self.scenario}"
-            raise SettingsError(complaint("generate", "scenario", "a scenario", "a dataset", hint))
+        require_kind("generate", str(self.scenario), "scenario")
         if not self.view:
             with progress(f"generate {self.scenario}") as report:
                 drive = generate(self, progress=report)
@@ -94,6 +91,7 @@ class Build(BuildOptions, frozen=True):
         """Write the dataset and print its folder."""
         from dsrc.data.datasets.build import generate_dataset
 
+        require_kind("dataset build", self.dataset, "data set")
         with progress(f"build {self.dataset}") as report:
             folder = generate_dataset(self, pool=self.pool, progress=report)
         sys.stdout.write(f"{folder}\n")
@@ -116,6 +114,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
         """Record the traffic and print the folder."""
         from dsrc.data.datasets.build import record_dataset
 
+        require_kind("dataset record", self.dataset, "data set")
         with progress(f"record {self.dataset}") as report:
             folder = record_dataset(self.dataset, self.pool, report)
         sys.stdout.write(f"{folder}\n")

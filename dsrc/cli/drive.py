@@ -7,9 +7,10 @@ from typing import Literal
 import msgspec
 
 from dsrc.cli.progress import progress
+from dsrc.cli.toml_files import require_kind
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import File, Folder, Output
-from dsrc.runs.executors import SERIAL, Pool
+from dsrc.runs.executors import Pool
 
 
 class Drive(DriveOptions, frozen=True, kw_only=True):
@@ -40,13 +41,14 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     docs: File | None = None
     critical: Literal["severity", "delay_s", "loss"] | None = None
     view: bool = False
-    pool: Pool = SERIAL
+    pool: Pool = Pool()
     output: Output = Output()
 
     def run(self) -> None:
         """Drive what is missing and print the table."""
         import tempfile
 
+        require_kind("drive", self.what, "scenario", "campaign")
         self._check_together()
         if self.what.endswith(".npz"):
             self._look_again()
@@ -66,35 +68,38 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     def _check_together(self) -> None:
         """Raise SettingsError for options that would have no effect beside others."""
         from sensors.corruptions import CLEAN
-        from sim.errors import SettingsError, complaint
+        from sim.errors import SettingsError, complaint, option
 
-        asks = {"--view": self.view, "--critical": self.critical, "a log": self.what.endswith(".npz")}
-        for name in (one for one in ("docs", "reuse") if getattr(self, one)):
-            for beside in (one for one, given in asks.items() if given):
-                raise SettingsError(complaint("drive", name, f"none beside {beside}", "one"))
-            if self.out is None:
-                raise SettingsError(complaint("drive", name, "--out beside it", "none"))
-        for beside in (one for one, given in asks.items() if given and self.pool != SERIAL):
-            expected = f"none beside {beside}, which drives one episode after another"
-            raise SettingsError(complaint("drive", "workers", expected, f"{self.pool.workers or 'one per core'}"))
-        if self.docs is not None and not self.what.endswith(".toml"):
-            raise SettingsError(complaint("drive", "docs", "a campaign's TOML, which has a name", self.what))
-        if self.critical is not None and self.out is not None:
-            raise SettingsError(complaint("drive", "out", "none beside --critical, which prints", str(self.out)))
-        if self.critical is not None and self.what.endswith(".npz"):
-            raise SettingsError(complaint("drive", "critical", "a scenario to drive", self.what))
-        if not self.what.endswith((".npz", ".toml")) and not set(self.corruption) - {CLEAN}:
-            given = [name for name in ("who", "severity", "family") if getattr(self, name)]
+        log = self.what.endswith(".npz")
+        asks = {
+            "--view shows an episode": self.view,
+            f"--critical {self.critical} prints its result": self.critical is not None,
+            f"{self.what} is the log of an episode": log,
+        }
+        asked = next((why for why, given in asks.items() if given), None)
+        if asked:
+            given = [name for name in ("docs", "reuse") if getattr(self, name)]
+            given += ["workers"] if self.pool != Pool() else []
+            given += ["out"] if self.critical is not None and self.out is not None else []
             if given:
-                raise SettingsError(complaint("drive", "corruption", f"one beside --{given[0]}", "none"))
-        if self.what.endswith(".npz"):
+                raise SettingsError(f"drive: {asked}; leave out {option(given[0])}")
+        for name in (one for one in ("docs", "reuse") if getattr(self, one)):
+            if self.out is None:
+                raise SettingsError(f"drive: {option(name)} goes with a folder of results; add --out")
+        if self.docs is not None and not self.what.endswith(".toml"):
+            raise SettingsError(complaint("drive", "--docs", "the TOML of a campaign, which has a name", self.what))
+        if self.critical is not None and (log or self.view):
+            raise SettingsError(f"drive: --critical searches a scenario; leave out {self.what if log else '--view'}")
+        if log and self.view:
+            raise SettingsError(f"drive: {self.what} is driven already; run: dsrc view {self.what}")
+        if log:
             for name in ("seed", "duration_s", "detect_every_s", "latency_s"):
-                if (given := getattr(self, name)) not in (None, ()):
-                    found = " ".join(map(str, given)) if isinstance(given, tuple) else str(given)
-                    raise SettingsError(complaint("drive", name, "none beside a log, which has its own", found))
-        if self.view and (self.critical is not None or self.what.endswith(".npz")):
-            hint = f"; run: dsrc view {self.what}" if self.what.endswith(".npz") else ""
-            raise SettingsError(complaint("drive", "view", "an episode to drive", "a search or a log", hint))
+                if getattr(self, name) not in (None, ()):
+                    raise SettingsError(f"drive: {self.what} is a log, which has its own; leave out {option(name)}")
+        elif not self.what.endswith(".toml") and not set(self.corruption) - {CLEAN}:
+            for name in ("who", "severity", "family"):
+                if getattr(self, name):
+                    raise SettingsError(f"drive: {option(name)} says how sensors are corrupted; add --corruption")
 
     def _drive(self, out: Path) -> None:
         from rich.console import Console
@@ -132,11 +137,11 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from dsrc.closed_loop.loop import ClosedLoop
         from dsrc.review.page.app import live_page
         from dsrc.review.sources.episodes import EpisodeSource
-        from sim.errors import SettingsError, complaint
+        from sim.errors import SettingsError
 
         jobs = episodes_of(campaign_of(self))
         if len(jobs) != 1:
-            raise SettingsError(complaint("drive", "view", "one episode", f"{len(jobs)} episodes"))
+            raise SettingsError(f"drive: --view shows one episode; these options describe {len(jobs)}")
         (job,) = jobs
         source = EpisodeSource(f"{job.scenario}, {job.perception}, seed {job.seed}")
 

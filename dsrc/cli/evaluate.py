@@ -4,9 +4,10 @@ import sys
 from pathlib import Path
 
 from dsrc.cli.progress import progress
+from dsrc.cli.toml_files import require_kind
 from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation, Scoring, Sharing
 from dsrc.options.fields import File, Folder, Output
-from dsrc.runs.executors import SERIAL, Pool
+from dsrc.runs.executors import Pool
 
 
 class Evaluate(Evaluation, frozen=True, kw_only=True):
@@ -59,7 +60,7 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
     partial: bool = False
     device: Device = "cpu"
     engine: Engine = "fused"
-    pool: Pool = SERIAL
+    pool: Pool = Pool()
     output: Output = Output()
 
     def run(self) -> None:
@@ -74,6 +75,8 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
         from dsrc.tables.document import publish
         from sim.files import write_file
 
+        if self.plan is not None:
+            require_kind("benchmark", self.plan, "benchmark")
         plan = plan_of(self)
         plan, absent = available(plan) if self.partial else (plan, [])
         with progress(f"benchmark {plan.name}") as report:

@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from importlib import import_module
 
 COMMANDS: Mapping[str, str | Mapping[str, str]] = {
-    "list": "list.List",
+    "list": "scenario.ListNames",
     "scenario": {"list": "scenario.List", "show": "scenario.Show", "import": "scenario.Import"},
     "generate": "dataset.Generate",
     "corrupt": "dataset.Corrupt",

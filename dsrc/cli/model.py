@@ -153,14 +153,13 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
 
     def _check_unused(self, *names: str) -> None:
         """Refuse options that this family's files need none of."""
-        from sim.errors import SettingsError, complaint
+        from sim.errors import SettingsError, option
 
         defaults = {field.name: field.default for field in msgspec.structs.fields(self)}
         for name in names:
             if getattr(self, name) != defaults[name]:
-                option = f"--{name.replace('_', '-')}"
                 raise SettingsError(
-                    complaint("model import", option, f"none with --family {self.family}", getattr(self, name))
+                    f"model import: files of --family {self.family} do not need it; leave out {option(name)}"
                 )
 
 

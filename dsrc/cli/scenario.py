@@ -1,13 +1,137 @@
-"""Commands `dsrc scenario`: the shipped scenarios, and new ones from maps."""
+"""Commands `dsrc list` and `dsrc scenario`: names that options take, scenarios, and new ones from maps."""
 
+import re
 import sys
+from collections.abc import Callable, Iterable, Sequence
+from inspect import getdoc
 from pathlib import Path
+from typing import Any, Literal
 
 import msgspec
 from tyro.conf import Positional
 
-from dsrc.cli.list import print_names
+from dsrc.cli.toml_files import require_kind
 from dsrc.options.fields import File, Folder, Scenario
+
+Things = Literal["lidars", "corruptions", "scenarios", "methods", "recipes", "channels"]
+
+
+class ListNames(msgspec.Struct, frozen=True):
+    """List the LiDARs, corruptions, scenarios, methods, recipes or channels that options take by name.
+
+    Examples:
+        dsrc list lidars
+        dsrc list corruptions
+
+    Attributes:
+        things: kind of the names.
+    """
+
+    things: Positional[Things]
+
+    def run(self) -> None:
+        """Print a line for each."""
+        print_names(self.things)
+
+
+def print_names(things: Things) -> None:
+    """Print the table of what has a name, its columns as wide as their longest cell."""
+    head, rows = _TABLES[things]()
+    cells = [head, *([str(cell) for cell in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    for line in cells:
+        padded = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        sys.stdout.write("  ".join(padded).rstrip() + "\n")
+
+
+_SHAPES = re.compile(r",? \(N.*? to \(.*?\)")
+"""Shapes of tensors in a docstring."""
+
+Table = tuple[Sequence[str], Iterable[Sequence[object]]]
+
+
+def _lidars() -> Table:
+    from sensors.presets import LIDARS
+
+    rows = ((name, len(one.elevation_deg), one.columns, one.rate_hz, one.range_max_m) for name, one in LIDARS.items())
+    return ("lidar", "beams", "columns", "Hz", "range m"), rows
+
+
+def _corruptions() -> Table:
+    from sensors.corruptions import CORRUPTIONS, FAMILIES
+    from sensors.corruptions.registry import Corruption
+
+    def families(one: Corruption) -> str:
+        return ", ".join(family for family in FAMILIES if family == "physical" or one.paper_settings is not None)
+
+    rows = ((kind, families(one), _module_line(one.apply or one.in_frame)) for kind, one in CORRUPTIONS.items())
+    return ("corruption", "families", "what it does"), rows
+
+
+def _scenarios() -> Table:
+    from dsrc.data.datasets.spec import list_datasets
+    from sim.catalog.load import list_scenarios, load_scenario
+
+    known = [load_scenario(name) for name in list_scenarios()]
+    rows = [("encounter" if one.conflict else "place", one.name, one.description) for one in known]
+    rows.sort(key=lambda row: row[0], reverse=True)  # places first
+    return ("", "scenario", "what it is"), [*rows, *(("data set", *one) for one in list_datasets().items())]
+
+
+def _methods() -> Table:
+    from dsrc.models.fusion import FUSIONS
+    from dsrc.training.recipes import METHODS
+
+    def row(name: str) -> Sequence[object]:
+        fusion = str(METHODS[name]["fusion"])
+        said = _SHAPES.sub("", _first_line(FUSIONS[fusion]))
+        return name, fusion, "" if METHODS[name].get("sdd") is False else "SDD+PCP+REC", said
+
+    return ("method", "fusion", "designs", "fusion of the agents"), map(row, METHODS)
+
+
+def _recipes() -> Table:
+    from dsrc.training.recipes import RECIPES
+
+    def row(name: str) -> Sequence[object]:
+        recipe = RECIPES[name]()
+        x0, y0, _, x1, y1, _ = recipe.model.grid.range_m
+        return name, recipe.epochs, recipe.batch_size, f"{x1 - x0:g} x {y1 - y0:g}", _first_line(RECIPES[name])
+
+    return ("recipe", "epochs", "batch", "area m", "what it is"), map(row, RECIPES)
+
+
+def _channels() -> Table:
+    from sim.radio import PRESETS
+
+    rows = ((name, one.medium, one.range_m, one.rate_mbps, one.delay_s) for name, one in PRESETS.items())
+    return ("channel", "medium", "range m", "Mb/s", "delay s"), rows
+
+
+_TABLES: dict[Things, Callable[[], Table]] = {
+    "lidars": _lidars,
+    "corruptions": _corruptions,
+    "scenarios": _scenarios,
+    "methods": _methods,
+    "recipes": _recipes,
+    "channels": _channels,
+}
+
+
+def _first_line(thing: Any) -> str:
+    return (
+        (getdoc(thing) or "")
+        .partition("\n")[0]
+        .removeprefix("Return the recipe ")
+        .removeprefix("of ")
+        .removesuffix(".")
+    )
+
+
+def _module_line(function: Any) -> str:
+    """Return the first line of the module of a function, without the name before its colon."""
+    line = _first_line(sys.modules[function.__module__])
+    return line.partition(": ")[2] or line
 
 
 class List(msgspec.Struct, frozen=True):
@@ -36,15 +160,11 @@ class Show(msgspec.Struct, frozen=True):
 
     def run(self) -> None:
         """Load, check and print it."""
-        from dsrc.data.datasets.spec import find_split_file
         from sensors.presets import scenario_lidars
         from sim.catalog.attribution import attributions
         from sim.catalog.load import load_scenario
-        from sim.errors import SettingsError, complaint
 
-        if find_split_file(str(self.scenario)) is not None:
-            hint = f"; run: dsrc dataset build {self.scenario}"
-            raise SettingsError(complaint("scenario show", "scenario", "a scenario", "a dataset", hint))
+        require_kind("scenario show", self.scenario, "scenario")
         scenario = load_scenario(self.scenario)
         scenario_lidars(scenario)  # unknown sensors are refused here as in `dsrc generate`
         scenario = msgspec.structs.replace(scenario, attribution="; ".join(attributions(scenario)))

@@ -11,6 +11,8 @@ from dsrc.options.fields import File, Output
 from dsrc.options.review import Review, ServeOptions
 
 _OF_CORRUPTION = ("severity", "family", "who")
+_LEAVE_OUT = "leave out {}"
+_ADD_CORRUPTION = "{} says how sensors are corrupted; add --corruption"
 
 
 class View(ServeOptions, frozen=True, kw_only=True):
@@ -73,35 +75,39 @@ class View(ServeOptions, frozen=True, kw_only=True):
         if self.frames < 1:
             raise SettingsError(complaint("view", "frames", "at least 1", self.frames))
         if self.out is not None and self.animation is not None:
-            raise SettingsError(complaint("view", "animation", "none beside --out", str(self.animation)))
+            raise SettingsError("view: --out writes a page; leave out --animation")
         self._refuse(self._unused())
 
     def _unused(self) -> dict[str, str]:
-        """Options that do nothing here, by name, and what is expected of them."""
+        """Options that do nothing here, by name: why, and what to do."""
         draws = self.picture is not None or self.animation is not None
         unused: dict[str, str] = {}
         if self.out is not None:
-            unused |= dict.fromkeys(("frame", "link", "host", "port"), "none beside --out")
+            unused |= dict.fromkeys(("frame", "link", "host", "port"), f"--out writes a page; {_LEAVE_OUT}")
             if self.corruption == "clean":
-                unused |= dict.fromkeys(_OF_CORRUPTION, "--corruption beside it")
+                unused |= dict.fromkeys(_OF_CORRUPTION, _ADD_CORRUPTION)
         elif draws:
-            unused |= dict.fromkeys(("host", "port"), "none beside a picture or an animation")
+            unused |= dict.fromkeys(("host", "port"), f"a picture is drawn without a server; {_LEAVE_OUT}")
         else:
-            unused["link"] = "--picture or --animation beside it"
+            unused["link"] = "{} says what a picture shows; add --picture or --animation"
         if not draws:
-            unused["size"] = "--picture or --animation beside it"
+            unused["size"] = "{} is of pictures; add --picture or --animation"
         if self.out is None and self.animation is None:
-            unused["frames"] = "--out or --animation beside it"
+            unused["frames"] = "{} is of pages and animations; add --out or --animation"
         return unused
 
     def _refuse(self, unused: dict[str, str]) -> None:
-        """Raise SettingsError for the first of some options, by name and what is expected of them, that is given."""
-        from sim.errors import SettingsError, complaint
+        """Raise SettingsError for the first of some options that is given.
+
+        Args:
+            unused: by name why the option does nothing, and what to do; {} stands for the option.
+        """
+        from sim.errors import SettingsError, option
 
         defaults = {field.name: field.default for field in msgspec.structs.fields(type(self))}
-        for name, expected in unused.items():
-            if (given := getattr(self, name)) != defaults[name]:
-                raise SettingsError(complaint("view", name, expected, str(given)))
+        for name, why in unused.items():
+            if getattr(self, name) != defaults[name]:
+                raise SettingsError(f"view: {why.format(option(name))}")
 
     def _draw(self) -> None:
         """Write the picture and the animation of the view of options and link, and print their paths."""
@@ -126,9 +132,9 @@ class View(ServeOptions, frozen=True, kw_only=True):
             raise SettingsError(complaints[0])
         asked = ("frame", "corruption", *_OF_CORRUPTION)
         others = [name for name in asked if getattr(state, name) != getattr(self, name)]
-        self._refuse(dict.fromkeys(others, "none beside a link that says otherwise"))
+        self._refuse(dict.fromkeys(others, f"the link says otherwise; {_LEAVE_OUT}"))
         if state.corruption == "clean":
-            self._refuse(dict.fromkeys(_OF_CORRUPTION, "--corruption beside it"))
+            self._refuse(dict.fromkeys(_OF_CORRUPTION, _ADD_CORRUPTION))
         if self.picture is not None:
             (image,) = export_pictures(model, self.link, self.size, start=start)
             sys.stdout.write(f"{write_picture(image, self.picture)}\n")

@@ -51,7 +51,7 @@ from dsrc.evaluation.conditions import PAPER_TABLE, Condition, check_numbers, co
 from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions
 from sensors.corruptions import EVERYONE, Family, parse_who, require_who
-from sim.errors import SettingsError, complaint, did_you_mean
+from sim.errors import SettingsError, complaint, did_you_mean, option
 from sim.radio import IDEAL, ChannelSpec, get_channel
 from sim.settings import convert, read_toml
 
@@ -252,14 +252,13 @@ def plan_of(options: BenchmarkOptions) -> Benchmark:
             raise SettingsError(complaint("benchmark", "plan", "a .toml", str(path), hint))
         for one in fields:
             if one.name in given:
-                expected = f"nothing: {path} describes the benchmark"
-                raise SettingsError(complaint("benchmark", one.encode_name, expected, "a value"))
+                raise SettingsError(f"benchmark: {path} describes the benchmark; leave out {option(one.encode_name)}")
         return read_benchmark(path)
     methods = _grouped("checkpoint", given.pop("checkpoints", ()))
     datasets = _grouped("data", given.pop("data", ()))
     for field, found in (("checkpoint", methods), ("data", datasets)):
         if not found:
-            raise SettingsError(complaint("benchmark", field, "at least one, or a TOML file", "none"))
+            raise SettingsError(f"benchmark: nothing to compare; add --{field}, or the TOML of a benchmark")
     if "family" in given:
         given["families"] = (given.pop("family"),)
     listed = {

@@ -211,7 +211,7 @@ class RayExecutor:
 
 def _local(workers: int, address: str) -> Executor:
     if address:
-        raise SettingsError(complaint("pool", "address", "none without --executor ray", address))
+        raise SettingsError(f"pool: --address {address} is that of a Ray cluster; add --executor ray")
     return SerialExecutor() if workers == 1 else ProcessExecutor(workers)
 
 

@@ -72,8 +72,8 @@ def train_stages(options: TrainOptions) -> Path:
     if recipe.epochs < 1:
         raise SettingsError(complaint("recipe", "epochs", "at least 1", recipe.epochs))
     if options.teacher and not (recipe.model.distils and options.stage in ("all", "student")):
-        which = f"stage {options.stage}" if recipe.model.distils else "a method that nobody teaches"
-        raise SettingsError(complaint("train", "teacher", f"none with {which}", options.teacher))
+        which = f"--stage {options.stage}" if recipe.model.distils else f"{options.method or options.recipe}"
+        raise SettingsError(f"train: {which} is trained without a teacher; leave out --teacher")
     stages: list[Stage] = ["teacher", "student"] if options.stage == "all" else [options.stage]
     if options.stage == "all" and (options.teacher or not recipe.model.distils):
         stages = ["student"]

@@ -56,8 +56,8 @@ def settings_of(
         return of, None if kind == CLEAN else CORRUPTIONS[kind].settings_of(of).severity(level)
     where = f"corruption '{kind}'"
     if severity is not None or family is not None:
-        found = f"family {family}" if severity is None else f"severity {severity}"
-        raise SettingsError(complaint(where, "preset", "no severity and no family beside it", found))
+        given = "family" if severity is None else "severity"
+        raise SettingsError(f"{where}: preset {preset} has a severity and family of its own; leave out the {given}")
     named = PRESETS.get(kind, {})
     if preset not in named:
         hint = did_you_mean(preset, named) or f"; there is none of {kind}"

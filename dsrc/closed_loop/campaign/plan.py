@@ -49,7 +49,7 @@ from dsrc.options.driving import DriveOptions
 from sensors.corruptions import CLEAN, Family, parse_who, require_who
 from sim.catalog.load import load_scenario
 from sim.encounters import ENCOUNTERS
-from sim.errors import SettingsError, complaint
+from sim.errors import SettingsError, complaint, option
 from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, package_versions
 from sim.radio import IDEAL, get_channel
@@ -153,8 +153,8 @@ def read_campaign(path: Path) -> Campaign:
     for one in plan.perceptions:
         _, kind, file = parse_perception(one.kind)
         if file and one.checkpoint:
-            where = f"perceptions.{one.name}.checkpoint"
-            raise SettingsError(complaint(path, where, f"none beside '{one.kind}'", one.checkpoint))
+            field = f"perceptions.{one.name}.checkpoint"
+            raise SettingsError(f"{path}: '{one.kind}' names a detector file already; leave out {field}")
         perceptions.append(replace(one, uses=kind, checkpoint=found(file or one.checkpoint)))
     files = [name.partition(".toml") for name in plan.scenarios]
     scenarios = tuple(
@@ -207,8 +207,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
     if all(one.kind in WITHOUT_SENSOR for one in asked):
         for field, values, bare in (("corruption", options.corruption, CLEAN), ("channel", options.channel, IDEAL)):
             if set(values) - {bare}:
-                expected = f"'{bare}' with perception '{asked[0].name}', which has no sensor"
-                raise SettingsError(complaint("drive", field, expected, " ".join(values)))
+                raise SettingsError(f"drive: perception '{asked[0].name}' has no sensor; leave out {option(field)}")
     for field, numbers, expected, fits in (
         ("severity", options.severity, "1 to 5", range(1, 6)),
         ("seed", options.seed, "0 to 2^63 - 1", range(1 << 63)),
@@ -220,8 +219,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
         raise SettingsError(complaint("drive", "seed", "numbers that differ", str(repeated[0])))
     takers = [one.name for one in asked if not one.file and one.kind in (ALONE, TOGETHER, LATE, MODELLED)]
     if checkpoint and not takers:
-        expected = f"none with '{asked[0].name}': ego, team and late take one"
-        raise SettingsError(complaint("drive", "checkpoint", expected, checkpoint))
+        raise SettingsError(f"drive: perception '{asked[0].name}' takes no detector file; leave out --checkpoint")
     perceptions = tuple(
         PerceptionSpec(name=name, uses=kind, checkpoint=file or (checkpoint if name in takers else ""))
         for name, kind, file in asked

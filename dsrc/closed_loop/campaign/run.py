@@ -38,7 +38,7 @@ from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.tables.files import csv_text
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY
-from sim.errors import DataError, SettingsError, UserError, complaint
+from sim.errors import DataError, SettingsError, UserError, complaint, option
 from sim.files import write_file
 from sim.machine import core_count
 from sim.radio import IDEAL
@@ -307,14 +307,15 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
     """
     for field in ("perception", "corruption", "severity", "channel"):
         if len(values := getattr(options, field)) > 1:
-            raise SettingsError(complaint("drive", field, "one for a log", " ".join(map(str, values))))
+            raise SettingsError(complaint("drive", option(field), "one value for a log", " ".join(map(str, values))))
     former = EpisodeLog.load(path)
     settings = former.settings
     uses = options.perception[0] if options.perception else settings.perception
     if not options.perception and ":" in parse_perception(uses).kind:
         # A log is data: code that it names runs for whoever asks for it.
-        expected = f"--perception {uses}, to run that class"
-        raise SettingsError(complaint("drive", "perception", expected, "its name in the log"))
+        raise SettingsError(
+            f"drive: {path} names code of its own, which runs only when asked for; add --perception {uses}"
+        )
     if not options.perception and settings.detector:
         checkpoint = str(options.checkpoint or "")
         if detector_hash(uses, checkpoint) != settings.detector:
@@ -325,7 +326,7 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
     if corruption == CLEAN:
         for field in ("severity", "who", "family"):
             if getattr(options, field):
-                raise SettingsError(complaint("drive", "corruption", f"one beside --{field}", CLEAN))
+                raise SettingsError(f"drive: {option(field)} says how sensors are corrupted; add --corruption")
     used: dict[str, Any] = {
         "corruption": corruption,
         "family": options.family or settings.family,

@@ -16,7 +16,7 @@ from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR, open_percept
 from dsrc.closed_loop.types import Outcome, Perception
 from dsrc.tables.table import Column, Table, TableRow
 from sensors.corruptions import CLEAN, SEVERITIES
-from sim.errors import SettingsError, complaint
+from sim.errors import SettingsError, complaint, option
 from sim.radio import get_channel
 
 Quantity = Literal["severity", "delay_s", "loss"]
@@ -114,8 +114,12 @@ def _seeds(plan: Campaign) -> tuple[int, ...]:
 def _corruption(plan: Campaign, quantity: Quantity) -> str:
     kinds = sorted({one.kind for one in plan.conditions if one.kind != CLEAN})
     if len(kinds) > 1 or (quantity == "severity" and not kinds):
-        raise SettingsError(complaint("drive", "corruption", f"one, for the critical {quantity}", ", ".join(kinds)))
+        raise SettingsError(_one_for(quantity, "corruption", " ".join(kinds) or "none"))
     return kinds[0] if kinds else CLEAN
+
+
+def _one_for(quantity: Quantity, field: str, found: str) -> str:
+    return complaint("drive", option(field), f"one value with --critical {quantity}", found)
 
 
 def _single(plan: Campaign, kind: str, quantity: Quantity) -> tuple[PerceptionSpec, int]:
@@ -128,11 +132,11 @@ def _single(plan: Campaign, kind: str, quantity: Quantity) -> tuple[PerceptionSp
     }
     for field, count in counts.items():
         if count > 1:
-            raise SettingsError(complaint("drive", field, f"one, for the critical {quantity}", str(count)))
+            raise SettingsError(_one_for(quantity, field, str(count)))
     one = plan.perceptions[0]
     if one.kind in WITHOUT_SENSOR or (one.kind == ALONE and quantity != "severity"):
         needed = "a detector" if quantity == "severity" else "a detector with helpers"
-        raise SettingsError(complaint("drive", "perception", f"{needed}, for the critical {quantity}", one.kind))
+        raise SettingsError(complaint("drive", "--perception", f"{needed} with --critical {quantity}", one.kind))
     return one, _seeds(plan)[0]
 
 

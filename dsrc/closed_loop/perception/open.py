@@ -109,7 +109,7 @@ def open_perception(
             return cast(Perception, detector)
     else:
         if file and checkpoint is not None:
-            raise SettingsError(complaint("perception", "checkpoint", f"none beside '{text}'", str(checkpoint)))
+            raise SettingsError(f"perception: '{text}' names a detector file already; leave out --checkpoint")
         path = Path(file) if file else checkpoint or SHIPPED_DETECTOR
         if not file and name not in _NAMES:
             hint = did_you_mean(name, _NAMES)
@@ -185,10 +185,7 @@ def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
     """Raise SettingsError for a setting of something that a perception has not."""
     for field, is_given in given.items():
         if is_given:
-            default = {"corruption": CLEAN, "channel": IDEAL}.get(field, "none")
-            raise SettingsError(
-                complaint("perception", field, f"'{default}' with '{text}', which is without {what}", "another")
-            )
+            raise SettingsError(f"perception: '{text}' is without {what}; leave out --{field}")
 
 
 def _modelled(text: str, file: Path | None, faults: Faults, channel: str | ChannelSpec) -> Perception:

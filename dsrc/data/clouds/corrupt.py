@@ -76,7 +76,7 @@ def corrupt(
     if isinstance(points, Sweep):
         given = {"sensor": sensor, "on_vehicle": on_vehicle, "ring": ring}
         if found := [name for name, value in given.items() if value is not None]:
-            raise SettingsError(complaint("corrupt", found[0], "none: a sweep has its own", "one"))
+            raise SettingsError(f"corrupt: a sweep has its own; leave out {found[0]}")
         labelled = bool((points.object_id >= 0).any())
         return corrupt_sweep(points, kind, settings, seed, labelled=labelled, **frame)
     cloud = cloud_of(points, ring)

@@ -189,7 +189,7 @@ def _check_options(options: ConvertOptions) -> None:
     if to not in FORMATS:
         raise SettingsError(complaint("convert", "to", "a format", to, did_you_mean(to, FORMATS)))
     if agent is not None and to in ("opv2v", "mcap"):
-        raise SettingsError(complaint("convert", "agent_id", f"none with --to {to}, which holds all agents", agent))
+        raise SettingsError(f"convert: --to {to} holds all agents; leave out --agent-id")
     if agent is not None and agent not in (_EGO, _ALL) and not re.fullmatch(r"-?\d{1,10}", agent):
         raise SettingsError(complaint("convert", "agent_id", "ego, all or the id of an agent", agent))
     if agent == _ALL and to == "dair":
@@ -197,7 +197,7 @@ def _check_options(options: ConvertOptions) -> None:
     if view not in get_args(LabelView):
         raise SettingsError(complaint("convert", "view", "camera or around", view))
     if view != "camera" and to != "kitti":
-        raise SettingsError(complaint("convert", "view", "camera, or --to kitti", view))
+        raise SettingsError("convert: --view is of KITTI's labels; add --to kitti")
 
 
 def _check_folder(out: Path, wanted: Conversion) -> Literal["begun", "finished", "lacking"]:

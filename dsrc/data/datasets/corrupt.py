@@ -69,7 +69,7 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
     if not drives:
         return corrupt_scans(options, pool, progress)
     if options.sensor is not None:
-        raise SettingsError(complaint("corrupt", "sensor", "none: drives know their sensors", options.sensor))
+        raise SettingsError("corrupt: drives know their LiDARs; leave out --sensor")
     jobs = [CorruptionJob(drive, out / path_below(data, drive), drive.name, options) for drive in drives]
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(map(len, readers)), 0

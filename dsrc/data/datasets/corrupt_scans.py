@@ -76,7 +76,7 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
     """
     data, out = Path(options.data), Path(options.out)
     if options.who != EVERYONE:
-        raise SettingsError(complaint("corrupt", "who", "all: a scan has one sensor", options.who))
+        raise SettingsError("corrupt: a scan is of one sensor; leave out --who")
     if options.sensor is not None:
         get_lidar(options.sensor)
     if not data.is_dir():

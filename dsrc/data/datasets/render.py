@@ -118,7 +118,7 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
     scenario = with_sensors(scenario, changes.vehicles, changes.lidar, changes.roadside_lidar, changes.roadside)
     rule = scenario.agents
     if changes.agent_id and changes.vehicles is not None:
-        raise SettingsError(complaint("render", "agent_id", "no ids beside a number of vehicles", "both"))
+        raise SettingsError("render: --agent-id names the vehicles with a LiDAR; leave out --vehicles")
     if changes.agent_id:
         rule = msgspec.structs.replace(
             rule, named=_names(log, changes.agent_id, "tracks" in about), vehicles=len(changes.agent_id)

@@ -98,7 +98,7 @@ def test_wrong_settings_are_named() -> None:
         Pool(executor="rai").open()  # type: ignore[arg-type]
     with pytest.raises(SettingsError, match="workers: expected at least 1, found 0"):
         Pool(0).open()
-    with pytest.raises(SettingsError, match="address: expected none without --executor ray"):
+    with pytest.raises(SettingsError, match="is that of a Ray cluster; add --executor ray"):
         Pool(1, address="auto").open()
 
 

@@ -73,5 +73,5 @@ def test_an_unknown_preset_is_one_line() -> None:
 
 @pytest.mark.parametrize("beside", [{"severity": 3}, {"family": "paper"}])
 def test_a_preset_is_not_taken_beside_a_severity_or_a_family(beside: dict) -> None:
-    with pytest.raises(SettingsError, match=r"preset: expected no severity and no family beside it, found [sf]"):
+    with pytest.raises(SettingsError, match=r"preset \w+ has a severity and family of its own; leave out the [sf]"):
         settings_of("fog", preset="robo3d_heavy", **beside)

@@ -84,7 +84,7 @@ def _of_logs(data: Path, perception: str | None, seeds: tuple[int, ...], progres
 def _of_results(data: Path, method: str | None, seeds: tuple[int, ...], progress: Progress) -> ErrorModel:
     index = read_index(data)
     if seeds:
-        raise DataError(complaint(data, "seed", "none with stored detections", " ".join(map(str, seeds))))
+        raise DataError(f"{data}: stored detections are of no episodes and have no seeds; leave out --seed")
     runs = [run for run in index.runs if not run.swept and run.training == 0 and method in (None, run.method)]
     names = {run.method for run in index.runs}
     if len({run.method for run in runs}) != 1:

@@ -97,11 +97,11 @@ def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Pat
     ("options", "message"),
     [
         ({"to": "kity"}, "to: expected a format, found kity; did you mean 'kitti'"),
-        ({"to": "opv2v", "agent_id": "3"}, "agent_id: expected none with --to opv2v"),
+        ({"to": "opv2v", "agent_id": "3"}, "--to opv2v holds all agents; leave out --agent-id"),
         ({"to": "dair", "agent_id": "all"}, "agent_id: expected ego or the id of a vehicle"),
         ({"to": "kitti", "agent_id": "me"}, "agent_id: expected ego, all or the id of an agent, found me"),
         ({"to": "kitti", "agent_id": "--5"}, "agent_id: expected ego, all or the id of an agent, found --5"),
-        ({"to": "dair", "view": "around"}, "view: expected camera, or --to kitti"),
+        ({"to": "dair", "view": "around"}, "--view is of KITTI's labels; add --to kitti"),
     ],
 )
 def test_an_option_that_a_format_lacks_is_named(data: Path, tmp_path: Path, options: dict, message: str):

@@ -177,7 +177,7 @@ def test_a_preset_and_a_sensor_are_options(kitti: Path, tmp_path: Path, capsys: 
         ({"corruption": "fog", "sensor": "hdl"}, "unknown lidar"),
         ({"corruption": "fog", "who": "ego"}, "who"),
         ({"corruption": "fog", "preset": "none"}, "preset"),
-        ({"corruption": "fog", "preset": "robo3d_heavy", "severity": 5}, "no severity and no family beside it"),
+        ({"corruption": "fog", "preset": "robo3d_heavy", "severity": 5}, "leave out the severity"),
         ({"corruption": "spray"}, "boxes of the vehicles with velocities"),
         ({"corruption": "fog", "out": "a.txt"}, r"\*.bin"),
     ],
