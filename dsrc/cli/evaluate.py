@@ -53,6 +53,8 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
         device: device of the networks.
         engine: execution of the networks: fused layers, the same in half precision for CPUs with AMX, PyTorch's
             compiler, or layer by layer.
+        reuse: folders of earlier benchmarks: cells whose settings agree in all but code and package versions are
+            taken from them, which is recorded; default: none.
     """
 
     out: Folder
@@ -60,6 +62,7 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
     partial: bool = False
     device: Device = "cpu"
     engine: Engine = "fused"
+    reuse: tuple[Folder, ...] = ()
     pool: Pool = Pool()
     output: Output = Output()
 
@@ -80,7 +83,7 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
         plan = plan_of(self)
         plan, absent = available(plan) if self.partial else (plan, [])
         with progress(f"benchmark {plan.name}") as report:
-            outcome = run_plan(plan, self.out, self.pool, self.device, report, self.engine)
+            outcome = run_plan(plan, self.out, self.pool, self.device, report, self.engine, self.reuse)
         sections = write_report(outcome, self.out)
         write_file(self.out / "tables.md", "\n".join(section.markdown(Path()) for section in sections))
         for dataset in plan.datasets:

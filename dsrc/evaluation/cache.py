@@ -4,7 +4,6 @@
 Times, which differ between runs, are in `KEY.seconds`. A cell is complete or missing.
 """
 
-import hashlib
 import io
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from dsrc.evaluation.detect import MethodResult
 from dsrc.evaluation.detection_table import read_table
 from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, Matches
+from dsrc.runs.study import key_of
 from sim.errors import DataError, complaint
 from sim.files import write_file
 from sim.packed import read_arrays
@@ -61,18 +61,7 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def key(self) -> str:
         """Name of the cell."""
-        return hashlib.sha256(msgspec.json.encode(self, order="deterministic")).hexdigest()[:32]
-
-
-def has_cell(folder: Path, key: str) -> bool:
-    """Whether a cell exists and is intact."""
-    if not (folder / f"{key}.npz").is_file():
-        return False
-    try:
-        read_cell(folder, key)
-    except DataError:
-        return False
-    return True
+        return key_of(self)
 
 
 def write_cell(folder: Path, settings: CellSettings, result: MethodResult) -> None:

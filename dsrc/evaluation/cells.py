@@ -3,7 +3,7 @@
 All that this module imports, at any depth, is hashed into the keys of cells, see `sim.kept.code_hash`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,13 +11,15 @@ from pathlib import Path
 import msgspec
 
 from dsrc.data.drives import Drive, open_drive
-from dsrc.evaluation.cache import CellSettings, write_cell
+from dsrc.evaluation.cache import CellSettings, read_cell, read_settings, write_cell
 from dsrc.evaluation.conditions import Condition
-from dsrc.evaluation.detect import Method, evaluate_drive
+from dsrc.evaluation.detect import Method, MethodResult, evaluate_drive
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.models.threads import one_thread
+from dsrc.runs.executors import Progress
+from dsrc.runs.study import Study, Unit
 from sim.errors import SettingsError
 from sim.radio import ChannelSpec
 from sim.settings import convert
@@ -30,52 +32,47 @@ class CellJob:
     Attributes:
         settings: of the cell.
         path: detector file.
+        drive: path of the drive.
+        condition: of the sweeps.
         agents: most agents that take part; None for the detector's own number.
         channel: radio channel; None where no message is sent.
     """
 
     settings: CellSettings
     path: Path
+    drive: Path
+    condition: Condition
     agents: int | None
     channel: ChannelSpec | None
 
 
-@dataclass(frozen=True, slots=True)
-class WorkUnit:
-    """Cells of the same frames under the same condition: each frame is read and corrupted once for all.
-
-    Attributes:
-        folder: of the cells.
-        drive: path of the drive.
-        positions: of the frames in the drive.
-        condition: of the sweeps.
-        seed: of corruptions and channels.
-        jobs: the cells.
-    """
-
-    folder: Path
-    drive: Path
-    positions: tuple[int, ...]
-    condition: Condition
-    seed: int
-    jobs: tuple[CellJob, ...]
-
-
-def make_cells(unit: WorkUnit, progress: Callable[[int, int], None]) -> None:
-    """Compute and write the cells of a unit of work: a task of an executor."""
-    methods = [Method(job.settings.key, detector_of(job), job.agents, job.channel) for job in unit.jobs]
-    frames = 0
+def make_cells(unit: Unit[CellJob], progress: Progress) -> None:
+    """Compute and write cells of the same frames under the same condition: each frame is corrupted once for all."""
+    methods = [Method(key, detector_of(job), job.agents, job.channel) for key, job in unit.jobs.items()]
+    first, frames = next(iter(unit.jobs.values())), 0
+    positions = first.settings.positions
 
     def count_frame() -> None:
         nonlocal frames
         frames += 1
-        progress(frames, len(unit.positions))
+        progress(frames, len(positions))
 
     with one_thread():
-        work = {unit.condition: methods}
-        results = evaluate_drive(drive_of(unit.drive), unit.positions, work, unit.seed, count_frame)
-    for job in unit.jobs:
-        write_cell(unit.folder, job.settings, results[unit.condition, job.settings.key])
+        work = {first.condition: methods}
+        results = evaluate_drive(drive_of(first.drive), positions, work, first.settings.seed, count_frame)
+    for key, job in unit.jobs.items():
+        write_cell(unit.folder, job.settings, results[first.condition, key])
+
+
+CELLS: Study[CellJob, MethodResult] = Study(
+    task=make_cells,
+    alike=lambda job: (job.drive, job.settings.positions, job.condition),
+    steps=lambda job: len(job.settings.positions),
+    endings=(".seconds", ".npz"),
+    read=read_cell,
+    settings=lambda job: job.settings,
+    stored=read_settings,
+)
 
 
 def load_adjusted(path: Path, use: Mapping[str, bool | int | float | str], engine: str = "fused") -> Detector:

@@ -46,7 +46,7 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
         UserError: a file, a drive or a setting is wrong.
     """
     plan = plan_of_evaluation(config)
-    result = run_plan(plan, config.out, pool, config.device, progress, config.engine)
+    result = run_plan(plan, config.out, pool, config.device, progress, config.engine, config.reuse)
     made_by = provenance_of(result)
     entries = list(_labelled(result, bool(config.channels)))
     rows = [_with_curves(entry, config.out / "cells", bool(config.channels)) for entry, _ in entries]

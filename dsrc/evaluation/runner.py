@@ -7,15 +7,15 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import torch
 
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.evaluation.cache import CellSettings, has_cell, read_cell
-from dsrc.evaluation.cells import CellJob, WorkUnit, load_adjusted, make_cells
-from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
+from dsrc.evaluation.cache import CellSettings, read_cell
+from dsrc.evaluation.cells import CELLS, CellJob, load_adjusted, make_cells
+from dsrc.evaluation.conditions import channel_settings, condition_settings
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
 from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
@@ -24,9 +24,10 @@ from dsrc.evaluation.results import Row, make_row
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import read_meta
-from dsrc.runs.executors import SERIAL, Pool, Progress, Task
+from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
-from sim.errors import SettingsError, UserError, complaint
+from dsrc.runs.study import reuse_entry
+from sim.errors import SettingsError, complaint
 from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, versions_with
 
@@ -100,6 +101,7 @@ class BenchmarkResult:
         entries: results of all cases.
         made: number of cells computed in this run.
         engine: execution of the networks.
+        reused: entry of its provenance on cells of earlier code, see `dsrc.runs.study.reuse_entry`.
     """
 
     plan: Benchmark
@@ -109,6 +111,7 @@ class BenchmarkResult:
     entries: list[CaseResult]
     made: int
     engine: str = "fused"
+    reused: Mapping[str, Any] = field(default_factory=dict)
 
 
 def run_plan(
@@ -118,6 +121,7 @@ def run_plan(
     device: Device = "cpu",
     progress: Progress | None = None,
     engine: str = "fused",
+    reuse: Iterable[Path] = (),
 ) -> BenchmarkResult:
     """Compute the cells missing in `out/cells`, and the rows of all cases.
 
@@ -128,6 +132,7 @@ def run_plan(
         device: of the networks.
         progress: called with detections done and detections missing at the start.
         engine: execution of the networks, one of `dsrc.models.storage.deploy.ENGINES`.
+        reuse: folders of earlier results: cells whose settings agree in all but code and versions are taken from them.
 
     Raises:
         UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
@@ -149,10 +154,10 @@ def run_plan(
     folder = out / "cells"
     with locked(out, what="benchmark"):
         planned = [cells.of_case(case) for case in cases]
-        if any(one.job.channel is not None and one.job.channel.medium != "perfect" for own in planned for one in own):
+        jobs = {job.settings.key: job for own in planned for job in own}
+        if any(job.channel is not None and job.channel.medium != "perfect" for job in jobs.values()):
             warn_of_slow_drives([reader for readers in datasets.values() for reader in readers])
-        units = _missing(folder, plan.seed, [one for own in planned for one in own])
-        compute(make_cells, units, pool, progress)
+        made = CELLS.run(folder, jobs, pool, progress, reuse)
         ranked = {name for pair in plan.differences for name in (pair.method, pair.baseline)}
         entries = [
             _case_result(case, folder, own, case.method in ranked and not case.swept)
@@ -160,7 +165,7 @@ def run_plan(
         ]
     named = {name: {Path(p).name: digest for p, digest in listed.items()} for name, listed in drives.items()}
     frames = {name: tuple(map(len, of_drives)) for name, of_drives in positions.items()}
-    return BenchmarkResult(plan, trained, named, frames, entries, sum(len(unit.jobs) for unit in units), engine)
+    return BenchmarkResult(plan, trained, named, frames, entries, made, engine, reuse_entry(folder, jobs))
 
 
 def check_device(what: str, device: Device) -> None:
@@ -199,15 +204,6 @@ def _readers(folder: str) -> list[Drive]:
     return [open_drive(drive) for drive in list_drives(Path(folder))]
 
 
-class _PlannedCell(NamedTuple):
-    """Cell of a case, with its drive, frames and condition."""
-
-    job: CellJob
-    drive: Path
-    positions: tuple[int, ...]
-    condition: Condition
-
-
 @dataclass(frozen=True, slots=True)
 class _CellPlanner:
     """Cells of the cases of a benchmark.
@@ -230,7 +226,7 @@ class _CellPlanner:
     positions: Mapping[str, Sequence[Sequence[int]]]
     drives: Mapping[str, Mapping[str, str]]
 
-    def of_case(self, case: Case) -> list[_PlannedCell]:
+    def of_case(self, case: Case) -> list[CellJob]:
         """Return the cells of a case, drive by drive, at most `CHUNK` frames each."""
         one = self.trained[case.method][case.training]
         most = 1 if one.settings.fusion == "none" else one.settings.max_agents
@@ -258,47 +254,12 @@ class _CellPlanner:
                     channel=listed,
                 )
                 limit = None if agents == one.settings.max_agents else agents
-                job = CellJob(settings, one.path, limit, channel)
-                planned.append(_PlannedCell(job, reader.drive, chunk, case.condition))
+                planned.append(CellJob(settings, one.path, reader.drive, case.condition, limit, channel))
         return planned
 
 
-def _missing(folder: Path, seed: int, planned: Iterable[_PlannedCell]) -> list[WorkUnit]:
-    """Return the work left: missing or damaged cells, grouped by frames and condition."""
-    groups: dict[tuple[Path, tuple[int, ...], Condition], dict[str, CellJob]] = {}
-    for cell in planned:
-        if not has_cell(folder, cell.job.settings.key):
-            key = (cell.drive, cell.positions, cell.condition)
-            groups.setdefault(key, {})[cell.job.settings.key] = cell.job
-    return [
-        WorkUnit(folder, drive, positions, condition, seed, tuple(jobs.values()))
-        for (drive, positions, condition), jobs in groups.items()
-    ]
-
-
-def compute(task: Task, units: Sequence[WorkUnit], pool: Pool, progress: Progress | None) -> None:
-    """Run a task for all units of work; the first user's error is raised after the others are done."""
-    sizes = [len(unit.positions) * len(unit.jobs) for unit in units]
-    done = [0] * len(units)
-
-    def count(row: int, steps: int, of_steps: int) -> None:
-        done[row] = sizes[row] * steps // of_steps
-        if progress is not None:
-            progress(sum(done), sum(sizes))
-
-    if progress is not None:
-        progress(0, sum(sizes))
-    errors: list[UserError] = []
-    with pool.open(len(units)) as executor:
-        for result in executor.run(task, units, count):
-            if result.error is not None:
-                errors.append(result.error)
-    if errors:
-        raise errors[0]
-
-
-def _case_result(case: Case, folder: Path, cells: Sequence[_PlannedCell], keep_detections: bool) -> CaseResult:
-    keys = [cell.job.settings.key for cell in cells]
+def _case_result(case: Case, folder: Path, cells: Sequence[CellJob], keep_detections: bool) -> CaseResult:
+    keys = [job.settings.key for job in cells]
     result = join_results([read_cell(folder, key) for key in keys])
     row = make_row(
         case.method,
@@ -313,7 +274,7 @@ def _case_result(case: Case, folder: Path, cells: Sequence[_PlannedCell], keep_d
     metrics = {**row.metrics, **by_visibility(result)}
     row = replace(row, metrics=metrics, bytes_per_frame=sent, result=None)
     ranked = RankedDetections.of(result.matches) if keep_detections else None
-    return CaseResult(case, row, tuple(keys), tuple(cell.drive for cell in cells), ranked)
+    return CaseResult(case, row, tuple(keys), tuple(job.drive for job in cells), ranked)
 
 
 def by_visibility(result: MethodResult) -> dict[str, float]:

@@ -67,6 +67,8 @@ class Evaluation(Severity, frozen=True, kw_only=True):
         engine: execution of the networks: fused layers, the same in half precision for CPUs with AMX, PyTorch's
             compiler, or layer by layer.
         device: device of the networks.
+        reuse: folders of earlier evaluations: cells whose settings agree in all but code and package versions are
+            taken from them, which is recorded; default: none.
     """
 
     checkpoints: Checkpoints = field(name="checkpoint")
@@ -80,6 +82,7 @@ class Evaluation(Severity, frozen=True, kw_only=True):
     channels: Channels = field(default=(), name="channel")
     engine: Engine = "fused"
     device: Device = "cpu"
+    reuse: tuple[Folder, ...] = ()
 
 
 class Sharing(Severity, frozen=True, kw_only=True):
@@ -97,6 +100,8 @@ class Sharing(Severity, frozen=True, kw_only=True):
         limit: frames to look at, evenly spread; default: all.
         engine: execution of the network, see dsrc evaluate.
         device: device of the network.
+        reuse: folders of earlier shares: cells whose settings agree in all but code and package versions are taken
+            from them, which is recorded; default: none.
     """
 
     checkpoint: File
@@ -110,6 +115,7 @@ class Sharing(Severity, frozen=True, kw_only=True):
     limit: int | None = field(default=None, name="frames")
     engine: Engine = "fused"
     device: Device = "cpu"
+    reuse: tuple[Folder, ...] = ()
 
 
 class Scoring(msgspec.Struct, frozen=True, kw_only=True):

@@ -3,7 +3,6 @@
 import json
 import logging
 import math
-import platform
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from dsrc.evaluation.report.tables import axes_of, severity_table, sweep_table, 
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.evaluation.stored import StoredDrive, StoredIndex, StoredRun, write_index
-from dsrc.runs.provenance import commit, versions
+from dsrc.runs.provenance import provenance
 from dsrc.tables.document import Section, SectionWriter, slug
 from dsrc.tables.figure import styles_of
 from dsrc.tables.files import Scalar, csv_text, json_text
@@ -165,14 +164,7 @@ def provenance_of(result: BenchmarkResult) -> dict[str, Any]:
     settings["datasets"] = result.drives
     settings["engine"] = result.engine
     del settings["pictures"]  # decide nothing here
-    return {
-        "settings": settings,
-        "seed": plan.seed,
-        "versions": versions(),
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "commit": commit(),
-    }
+    return {**provenance(settings, plan.seed), **result.reused}
 
 
 def _listed(entry: CaseResult, one: TrainedDetector) -> dict[str, Any]:

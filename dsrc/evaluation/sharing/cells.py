@@ -15,14 +15,14 @@ import numpy as np
 from dsrc.data.jsonio import encode_json, read_json
 from dsrc.data.sample import Sample, make_sample
 from dsrc.evaluation.cache import CellSettings
-from dsrc.evaluation.cells import WorkUnit, detector_of, drive_of
+from dsrc.evaluation.cells import CellJob, detector_of, drive_of
 from dsrc.evaluation.detect import FrameHistory, corrupted, interval_of
 from dsrc.evaluation.sharing.shares import Shares, share_sample
 from dsrc.models.channel import Receiver
 from dsrc.models.threads import one_thread
 from dsrc.runs.executors import Progress
+from dsrc.runs.study import Study, Unit
 from sensors.corruptions import drive_seed
-from sim.errors import DataError
 from sim.files import write_file
 
 
@@ -99,27 +99,27 @@ class _Rows(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rows: tuple[ShareRow, ...]
 
 
-def make_share_cells(unit: WorkUnit, progress: Progress) -> None:
-    """Compute and write the cells of a unit of work: a task of an executor."""
-    reader = drive_of(unit.drive)
-    name, seed = reader.drive.name, drive_seed(unit.seed, reader.drive.name)
-    read = lru_cache(maxsize=3)(reader.read)
-    for job in unit.jobs:
+def make_share_cells(unit: Unit[CellJob], progress: Progress) -> None:
+    """Compute and write cells of shares."""
+    for key, job in unit.jobs.items():
+        reader = drive_of(job.drive)
+        name, seed = reader.drive.name, drive_seed(job.settings.seed, reader.drive.name)
+        read = lru_cache(maxsize=3)(reader.read)
         if not isinstance(job.settings, ShareSettings):
             raise TypeError(f"cells of shares have ShareSettings, got {type(job.settings)}")
         detector = detector_of(job)
         receiver = job.channel and Receiver(job.channel, seed, interval_of(reader), detector.settings)
         rows: list[ShareRow] = []
         with one_thread():
-            for done, i in enumerate(unit.positions, 1):
-                past = FrameHistory(read, i, partial(corrupted, condition=unit.condition, seed=seed))
+            for done, i in enumerate(job.settings.positions, 1):
+                past = FrameHistory(read, i, partial(corrupted, condition=job.condition, seed=seed))
                 whole = make_sample(past[0], None, detector.settings.request, recorded=read(i))
                 whole = replace(whole, key=f"{name}/{whole.key}")
                 heard = receiver.receive(past, i, whole, detector.settings.grid)[0] if receiver else whole
                 found = share_sample(detector, heard, job.settings.iou, whole.agent_ids)
-                rows += _rows(found, heard, whole, name, unit.condition.kind, past[0].index)
-                progress(done, len(unit.positions))
-        write_file(unit.folder / f"{job.settings.key}.json", encode_json(_Rows(job.settings, tuple(rows))))
+                rows += _rows(found, heard, whole, name, job.condition.kind, past[0].index)
+                progress(done, len(job.settings.positions))
+        write_file(unit.folder / f"{key}.json", encode_json(_Rows(job.settings, tuple(rows))))
 
 
 def read_share_cell(folder: Path, key: str) -> Sequence[ShareRow]:
@@ -129,15 +129,6 @@ def read_share_cell(folder: Path, key: str) -> Sequence[ShareRow]:
         DataError: it is missing or damaged.
     """
     return read_json(folder / f"{key}.json", _Rows).rows
-
-
-def has_share_cell(folder: Path, key: str) -> bool:
-    """Whether a cell exists and is intact."""
-    try:
-        read_share_cell(folder, key)
-    except DataError:
-        return False
-    return True
 
 
 def _rows(shares: Shares, heard: Sample, whole: Sample, drive: str, condition: str, frame: int) -> list[ShareRow]:
@@ -171,3 +162,14 @@ def _rows(shares: Shares, heard: Sample, whole: Sample, drive: str, condition: s
                 )
             )
     return rows
+
+
+SHARES: Study[CellJob, Sequence[ShareRow]] = Study(
+    task=make_share_cells,
+    alike=lambda job: job.settings.key,
+    steps=lambda job: len(job.settings.positions),
+    endings=(".json",),
+    read=read_share_cell,
+    settings=lambda job: job.settings,
+    stored=lambda folder, key: read_json(folder / f"{key}.json", _Rows).settings,
+)

@@ -7,11 +7,11 @@ from typing import Any
 import msgspec
 
 from dsrc.data.drives import Drive, drive_hashes, list_drives, open_drive
-from dsrc.evaluation.cells import CellJob, WorkUnit
+from dsrc.evaluation.cells import CellJob
 from dsrc.evaluation.conditions import Condition, channel_settings, check_numbers, condition_settings, corruption_kinds
 from dsrc.evaluation.detect import frame_positions
-from dsrc.evaluation.runner import check_device, compute
-from dsrc.evaluation.sharing.cells import ShareRow, ShareSettings, has_share_cell, make_share_cells, read_share_cell
+from dsrc.evaluation.runner import check_device
+from dsrc.evaluation.sharing.cells import SHARES, ShareRow, ShareSettings, make_share_cells, read_share_cell
 from dsrc.evaluation.sharing.shares import MOST_AGENTS, check_iou
 from dsrc.evaluation.stored import StoredDrive
 from dsrc.models.fusion import FUSIONS, Fusion
@@ -20,6 +20,7 @@ from dsrc.options.detection import Sharing
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.runs.provenance import provenance
+from dsrc.runs.study import reuse_entry
 from sensors.corruptions import parse_who
 from sim.errors import DataError, complaint
 from sim.files import file_sha256
@@ -57,12 +58,11 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
     folder = config.out / "cells"
     with locked(config.out, what="folder of shares"):
         by_drive = [
-            list(_units(folder, reader, positions, conditions, config, FUSIONS[detector.settings.fusion]))
+            list(_jobs(reader, positions, conditions, config, FUSIONS[detector.settings.fusion]))
             for reader, positions in zip(readers, frame_positions(readers, config.limit), strict=True)
         ]
-        units = [unit for own in by_drive for unit in own]
-        missing = [unit for unit in units if not has_share_cell(folder, unit.jobs[0].settings.key)]
-        compute(make_share_cells, missing, pool, progress)
+        jobs = {job.settings.key: job for own in by_drive for job in own}
+        SHARES.run(folder, jobs, pool, progress, config.reuse)
         place = {condition.kind: row for row, condition in enumerate(conditions)}
         return [
             row
@@ -71,15 +71,14 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
         ]
 
 
-def _units(
-    folder: Path,
+def _jobs(
     reader: Drive,
     positions: Sequence[int],
     conditions: Sequence[Condition],
     config: Sharing,
     fusion: type[Fusion],
-) -> Iterator[WorkUnit]:
-    """Yield the work in a drive, a cell each."""
+) -> Iterator[CellJob]:
+    """Yield the cells of a drive."""
     channel = None if config.channel is None else get_channel(config.channel)
     detector, data = file_sha256(config.checkpoint), reader.digest()
     for start in range(0, len(positions), CHUNK):
@@ -101,13 +100,12 @@ def _units(
                 channel=None if channel is None else channel_settings(channel),
                 iou=config.iou,
             )
-            job = CellJob(settings, config.checkpoint, None, channel)
-            yield WorkUnit(folder, reader.drive, chunk, condition, config.seed, (job,))
+            yield CellJob(settings, config.checkpoint, reader.drive, condition, None, channel)
 
 
-def _read(folder: Path, units: Iterable[WorkUnit]) -> Iterator[ShareRow]:
-    for unit in units:
-        yield from read_share_cell(folder, unit.jobs[0].settings.key)
+def _read(folder: Path, jobs: Iterable[CellJob]) -> Iterator[ShareRow]:
+    for job in jobs:
+        yield from read_share_cell(folder, job.settings.key)
 
 
 def frames_looked_at(config: Sharing) -> int:
@@ -126,8 +124,9 @@ def stored_drives(data: Path) -> tuple[StoredDrive, ...]:
 
 def provenance_of(config: Sharing) -> dict[str, Any]:
     """Provenance of shares: settings, hashes of the detector and the data, versions."""
-    fields = {name: getattr(config, name) for name in Sharing.__struct_fields__ if name != "out"}
+    fields = {name: getattr(config, name) for name in Sharing.__struct_fields__ if name not in ("out", "reuse")}
     settings = msgspec.to_builtins(fields, enc_hook=str)
     settings["data"], settings["checkpoint"] = config.data.name, config.checkpoint.name
     settings["sha256"] = file_sha256(config.checkpoint)
-    return provenance(settings, config.seed, drive_hashes(list_drives(config.data)))
+    made_by = provenance(settings, config.seed, drive_hashes(list_drives(config.data)))
+    return {**made_by, **reuse_entry(config.out / "cells")}

@@ -14,7 +14,7 @@ from dsrc.evaluation.cache import CellSettings, read_cell
 from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
 from dsrc.evaluation.config import DifferenceSpec, MethodSpec, ParameterSweeps
 from dsrc.evaluation.detect import Method
-from dsrc.evaluation.report.report import write_report
+from dsrc.evaluation.report.report import provenance_of, write_report
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_student, save_detector
@@ -30,7 +30,7 @@ TWO = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "alone": [("no-collaboration", 0)]}
 @pytest.fixture(scope="module", autouse=True)
 def _one_commit():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dsrc.evaluation.report.report.commit", lambda: "0123456789")
+        patch.setattr("dsrc.runs.provenance.commit", lambda: "0123456789")
         yield
 
 
@@ -123,6 +123,16 @@ def test_a_method_that_is_added_costs_its_own_cells_alone(done, plan, root, monk
         plan, methods=tuple(replace(m, name=m.name + "!") for m in plan.methods), sweeps=ParameterSweeps()
     )
     assert run_plan(renamed, out).made == 0
+
+
+def test_cells_of_earlier_code_are_taken_when_asked_for(done, plan, root, monkeypatch):
+    monkeypatch.setattr(runner, "code_hash", lambda entry: "0" * 64)
+    result = run_plan(plan, root / "reused", reuse=[done[0]])
+    assert result.made == 0 and [entry.row for entry in result.entries] == [entry.row for entry in done[1].entries]
+    assert not {key for entry in result.entries for key in entry.cells} & {k for e in done[1].entries for k in e.cells}
+    assert provenance_of(result)["reused"] == {"results": done[1].made, "listed_in": "cells/reused.json"}
+    assert "reused" not in provenance_of(done[1])
+    assert run_plan(replace(plan, seed=1), root / "other", reuse=[done[0]]).made > 0
 
 
 def test_two_processes_find_what_one_does(done, plan, root):
