@@ -12,7 +12,7 @@ import pytest
 
 from dsrc.cli import options
 from dsrc.cli.main import run
-from dsrc.cli.progress import progress
+from dsrc.cli.progress import made, progress
 from dsrc.cli.scenario import Things
 from dsrc.options import detection, fields
 from dsrc.options.drives import DriveOptions
@@ -178,6 +178,20 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(
     with progress("short work") as report:
         report(4, 4)
     assert capsys.readouterr().err == ""
+
+
+def test_what_was_made_is_a_path_for_scripts_and_a_line_with_the_next_command(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "my drives"
+    made(folder, "a drive", "view", folder)
+    out, err = capsys.readouterr()
+    assert out == f"{folder}\n"
+    wrote, following = err.splitlines()
+    assert wrote == "wrote a drive" and following.startswith("next: dsrc view '")
+    _, *words = shlex.split(following.removeprefix("next: "))
+    (tmp_path / "my drives").mkdir()
+    assert_one_line(dsrc(*words), str(folder))  # the command runs, and says that the folder is empty
 
 
 def test_an_unknown_scenario_names_the_nearest(tmp_path: Path) -> None:

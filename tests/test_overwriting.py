@@ -34,6 +34,7 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Function that runs `dsrc` and returns its one line of error."""
 
     def run(*args: object) -> str:
+        capsys.readouterr()  # what a command before has said
         with pytest.raises(SystemExit) as leaving:
             main([str(arg) for arg in args])
         assert leaving.value.code == 2

@@ -4,7 +4,7 @@ import sys
 
 import msgspec
 
-from dsrc.cli.progress import progress
+from dsrc.cli.progress import made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.drives import BuildOptions, Changes, ConvertOptions, CorruptOptions, GenerateOptions
 from dsrc.options.fields import Data, Folder, Output, Splits
@@ -35,7 +35,7 @@ class Generate(GenerateOptions, frozen=True):
         if not self.view:
             with progress(f"generate {self.scenario}") as report:
                 drive = generate(self, progress=report)
-            sys.stdout.write(f"{drive}\n")
+            made(drive, f"a drive of {self.frames} frames", "view", drive)
             return
         from dsrc.review.page.app import live_page
         from dsrc.review.sources.live import LiveSource
@@ -45,8 +45,7 @@ class Generate(GenerateOptions, frozen=True):
             sys.stderr.write(f"{page.url}\n")
             with progress(f"generate {self.scenario}") as report:
                 drive = generate(self, progress=report, watch=source.put)
-            sys.stdout.write(f"{drive}\n")
-            sys.stdout.flush()
+            made(drive, f"a drive of {self.frames} frames", "view", drive)
             page.wait()
 
 
@@ -70,8 +69,10 @@ class Corrupt(CorruptOptions, frozen=True):
 
         level = self.preset or f"severity {self.severity or DEFAULT_SEVERITY}"
         with progress(f"corrupt {self.corruption}, {level}") as report:
-            corrupt_dataset(self, pool=self.pool, progress=report)
-        sys.stdout.write(f"{self.out}\n")
+            written = corrupt_dataset(self, pool=self.pool, progress=report)
+        drives = [path for path in written if path.is_dir()]
+        what = f"{len(written)} {'drive' if drives else 'scan'}{'s' if len(written) > 1 else ''}, {self.corruption}"
+        made(self.out, what, *(("view", self.out) if drives else ()))
 
 
 class Build(BuildOptions, frozen=True):
@@ -94,7 +95,7 @@ class Build(BuildOptions, frozen=True):
         require_kind("dataset build", self.dataset, "data set")
         with progress(f"build {self.dataset}") as report:
             folder = generate_dataset(self, pool=self.pool, progress=report)
-        sys.stdout.write(f"{folder}\n")
+        made(folder, "a data set with checksums", "dataset", "check", folder)
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True):
@@ -117,7 +118,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
         require_kind("dataset record", self.dataset, "data set")
         with progress(f"record {self.dataset}") as report:
             folder = record_dataset(self.dataset, self.pool, report)
-        sys.stdout.write(f"{folder}\n")
+        made(folder, "traffic logs and worlds", "dataset", "build", self.dataset, "--out", "data")
 
 
 class Render(msgspec.Struct, frozen=True, kw_only=True):
@@ -145,8 +146,8 @@ class Render(msgspec.Struct, frozen=True, kw_only=True):
         from dsrc.data.datasets.render import render
 
         with progress(f"render {self.data}") as report:
-            made = render(self.data, self.out, self.changes, self.pool, report)
-        sys.stdout.writelines(f"{drive}\n" for drive in made)
+            drives = render(self.data, self.out, self.changes, self.pool, report)
+        made(drives, f"{len(drives)} drive{'s' if len(drives) > 1 else ''}", "view", self.out)
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -195,7 +196,7 @@ class Card(msgspec.Struct, frozen=True, kw_only=True):
         """Write the card and print its folder."""
         from dsrc.data.datasets.card import write_card
 
-        sys.stdout.write(f"{write_card(self.data, self.out, self.pool)}\n")
+        made(write_card(self.data, self.out, self.pool), "a data card", "view", self.data)
 
 
 class Convert(ConvertOptions, frozen=True):
@@ -215,4 +216,5 @@ class Convert(ConvertOptions, frozen=True):
 
         with progress(f"convert to {self.to}") as report:
             convert(self, pool=self.pool, progress=report)
-        sys.stdout.write(f"{self.out}\n")
+        readable = self.to in ("opv2v", "dair")
+        made(self.out, f"the drives as {self.to}", *(("dataset", "check", self.out) if readable else ()))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.cli.progress import progress
+from dsrc.cli.progress import made, progress
 from dsrc.cli.view import draw
 from dsrc.options.fields import Folder, Output
 
@@ -109,7 +109,8 @@ def run_demo(out: Path, quick: bool = False) -> None:
         "closed loop": out / "drive" / "results.csv",
     }.items():
         console.print(f"{what:18s} {where}")
-    console.print(f"done in {time.perf_counter() - start:.0f} s; review: dsrc view {out / 'test'} --checkpoint {dsrc}")
+    spent_s = time.perf_counter() - start
+    made([], f"all of this in {spent_s:.0f} s", "view", out / "test", "--checkpoint", dsrc)
 
 
 def lesson(outcomes: Mapping[str, str]) -> str:

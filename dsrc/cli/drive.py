@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from dsrc.cli.progress import progress
+from dsrc.cli.progress import made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import File, Folder, Output
@@ -125,10 +125,10 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         console = Console(highlight=False)
         console.print(summary_table(result))
         if self.out is not None:
-            for path in write_report(result, out):
-                sys.stdout.write(f"{path}\n")
+            places = list(write_report(result, out))
             if self.docs is not None:
-                sys.stdout.write(f"{publish_report(result, out, self.docs)}\n{self.docs}\n")
+                places += [publish_report(result, out, self.docs), self.docs]
+            made(places, "results, tables and logs of episodes", "view", out)
 
     def _watch(self) -> None:
         """Drive one episode before the eyes of a page; its log goes to `out`."""
@@ -158,8 +158,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             source.end(str(log.outcome), log.message)
             sys.stdout.write(f"{log.outcome}{f': {log.message}' if log.message else ''}\n")
             if self.out is not None:
-                sys.stdout.write(f"{log.save(self.out / 'episode.npz')}\n")
-            sys.stdout.flush()
+                path = log.save(self.out / "episode.npz")
+                made(path, "the log of the episode", "view", path)
             page.wait()
 
     def _search(self) -> None:
@@ -188,7 +188,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         former, again = look_again_at(Path(self.what), self)
         Console(highlight=False).print(comparison_table(former, again))
         if self.out is not None:
-            sys.stdout.write(f"{again.save(self.out / 'again.npz')}\n")
+            path = again.save(self.out / "again.npz")
+            made(path, "the log of the second look", "view", path)
 
 
 def _duration(seconds: float) -> str:

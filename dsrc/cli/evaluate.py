@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from dsrc.cli.progress import progress
+from dsrc.cli.progress import made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation, Scoring, Sharing
 from dsrc.options.fields import File, Folder, Output
@@ -33,7 +33,7 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
         with progress(f"evaluate {self.data}") as report:
             rows = evaluate_drives(self, self.pool, report)
         Console(highlight=False).print(result_table(rows))
-        sys.stdout.write(f"{self.out}\n")
+        made(self.out, "results, plots and all detections", "view", self.out)
 
 
 class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
@@ -90,10 +90,11 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
             Console(highlight=False).print(table_1(DatasetResults.of(outcome, dataset.name)))
         if absent:
             sys.stdout.write(f"Missing detector files, left out: {', '.join(absent)}.\n")
+        places = [self.out / "tables.md"]
         if self.docs is not None:
             publish(sections, self.out, self.docs, plan.name, RESULTS)
-            sys.stdout.write(f"{self.docs}\n")
-        sys.stdout.write(f"{self.out / 'tables.md'}\n")
+            places.insert(0, self.docs)
+        made(places, "tables, plots and all detections", "score", self.out)
 
 
 class Shares(Sharing, frozen=True, kw_only=True):
@@ -119,7 +120,7 @@ class Shares(Sharing, frozen=True, kw_only=True):
             rows = share_drives(self, self.pool, report)
         write_shares(self.out, rows, frames_looked_at(self), provenance_of(self), stored_drives(self.data))
         Console(highlight=False).print(share_table(rows))
-        sys.stdout.write(f"{self.out}\n")
+        made(self.out, "shares of the agents", "view", self.out)
 
 
 class Score(Scoring, frozen=True, kw_only=True):
@@ -153,4 +154,5 @@ class Score(Scoring, frozen=True, kw_only=True):
         Console(highlight=False).print(*score_tables(found), sep="\n")
         if self.out is not None:
             write_scores(self.out, found, provenance_of(self))
-            sys.stdout.write(f"{self.out}\n")
+            stored = self.truth is None and self.detections.is_dir()
+            made(self.out, "scores", *(("view", self.detections) if stored else ()))

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 from tyro.conf import Positional, arg
 
-from dsrc.cli.progress import log_lines, progress
+from dsrc.cli.progress import log_lines, made, progress
 from dsrc.options.detection import TrainOptions
 from dsrc.options.fields import File, Folder, Output
 
 if TYPE_CHECKING:
     from dsrc.ops.grid import GridSpec
+
+_TRY = ("drive", "lta_truck", "--perception", "truth", "ego", "team", "--checkpoint")
+"""Command that drives with a detector, without its file."""
 
 
 class Train(TrainOptions, frozen=True):
@@ -38,7 +41,7 @@ class Train(TrainOptions, frozen=True):
         log_lines("dsrc.training")  # a line per epoch
         detector = train_stages(self)
         if leads():
-            sys.stdout.write(f"{detector}\n")
+            made(detector, "a detector and its run folder", "view", detector.parent)
 
 
 class Verify(msgspec.Struct, frozen=True, kw_only=True):
@@ -139,7 +142,8 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
             )
             detector = import_opencood(Path(self.file), origin)
         save_detector(self.out, detector, {"imported from": self.file.name, "family": self.family}, half=False)
-        sys.stdout.write("\n".join([*described(detector), str(self.out)]) + "\n")
+        sys.stdout.writelines(f"{line}\n" for line in described(detector))
+        made(self.out, "a detector", *_TRY, self.out)
 
     def _grid(self) -> "GridSpec":
         """Return the grid of a network of DSRC's, whose range is the default of grids."""
@@ -187,7 +191,7 @@ class Join(msgspec.Struct, frozen=True, kw_only=True):
 
         check_output(self.out, "archive")
         join_files([self.vehicles, self.vulnerable], self.out)
-        sys.stdout.write(f"{self.out}\n")
+        made(self.out, "a detector of all road users", *_TRY, self.out)
 
 
 class Export(msgspec.Struct, frozen=True, kw_only=True):
@@ -216,7 +220,8 @@ class Export(msgspec.Struct, frozen=True, kw_only=True):
         check_output(self.out, "network")
         agents = export_onnx(load_detector(self.checkpoint), self.out, self.agents)
         lines = [f"{name}: {meaning}" for name, meaning in (INPUTS | OUTPUTS).items()]
-        sys.stdout.write("\n".join([*lines, f"agents: {agents}", str(self.out)]) + "\n")
+        sys.stdout.writelines(f"{line}\n" for line in [*lines, f"agents: {agents}"])
+        made(self.out, "a network for any runtime of ONNX")
 
 
 class Fit(msgspec.Struct, frozen=True, kw_only=True):
@@ -253,4 +258,4 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True):
         with progress(f"fit {self.data}") as report:
             model = fit_model(self.data, self.perception, seeds=self.seed, progress=report)
         write_model(self.out, model)
-        sys.stdout.write(f"{self.out}\n")
+        made(self.out, "an error model", "drive", "lta_truck", "--perception", self.out)

@@ -1,9 +1,11 @@
-"""Progress of a command on standard error: a bar on a terminal, else a line now and then."""
+"""Progress of a command on standard error, a bar on a terminal, else a line now and then; and what it made."""
 
 import logging
+import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from time import monotonic
 
 Report = Callable[[int, int], None]
@@ -35,6 +37,22 @@ def log_lines(name: str) -> None:
         log = logging.getLogger(name)
         log.setLevel(logging.INFO)
         log.addHandler(logging.StreamHandler())
+
+
+def made(places: Path | Sequence[Path], what: str, *then: object) -> None:
+    """Print what a command wrote: the places on standard output, which scripts read, the rest on standard error.
+
+    Args:
+        places: files or folders, a line each.
+        what: the written thing, a few words.
+        then: words of the command that one would run next; none where there is no such command.
+    """
+    listed = [places] if isinstance(places, Path) else places
+    sys.stdout.writelines(f"{place}\n" for place in listed)
+    sys.stdout.flush()
+    sys.stderr.write(f"wrote {what}\n")
+    if then:
+        sys.stderr.write(f"next: {shlex.join(['dsrc', *map(str, then)])}\n")
 
 
 @contextmanager

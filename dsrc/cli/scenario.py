@@ -10,6 +10,7 @@ from typing import Any, Literal
 import msgspec
 from tyro.conf import Positional
 
+from dsrc.cli.progress import made
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.fields import File, Folder, Scenario
 
@@ -196,4 +197,4 @@ class Import(msgspec.Struct, frozen=True):
         from sim.catalog.import_map import import_map
 
         folder = import_map(Path(self.map), self.name, self.out)
-        sys.stdout.write(f"{folder}\ndsrc generate {folder} --out data\n")
+        made(folder, "a scenario", "generate", folder, "--out", "data")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.cli.progress import progress
+from dsrc.cli.progress import made, progress
 from dsrc.options.fields import File, Output
 from dsrc.options.review import Review, ServeOptions
 
@@ -62,9 +62,10 @@ class View(ServeOptions, frozen=True, kw_only=True):
         with progress(f"write {self.out}") as report:
             page = export_html(self.data, self.out, self.frames, **shown)
             report(1, 1)
-        sys.stdout.write(f"{page}\n")
-        if self.picture is not None:
-            sys.stdout.write(f"{draw(page, self.picture, self.size)}\n")
+        if self.picture is None:
+            made(page, "a page for any browser")
+        else:
+            made([page, draw(page, self.picture, self.size)], "a page for any browser, and its picture")
 
     def _check(self) -> None:
         """Raise SettingsError for numbers out of their range, options that exclude each other or have no effect."""

@@ -252,7 +252,7 @@ def test_an_opendrive_file_comes_back_as_the_streets_it_was_written_from(tmp_pat
 def test_the_command_makes_a_folder_that_generate_takes(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "town.osm").write_text(town(), encoding="utf-8")
     main(["scenario", "import", str(tmp_path / "town.osm"), "--out", str(tmp_path / "x")])
-    assert f"dsrc generate {tmp_path / 'x'}" in capsys.readouterr().out
+    assert f"dsrc generate {tmp_path / 'x'}" in capsys.readouterr().err
     scenario = load_scenario(tmp_path / "x")
     agents = msgspec.structs.replace(scenario.agents, lidar="debug-16")
     drive = generate(msgspec.structs.replace(scenario, agents=agents), tmp_path / "data", frames=2)
