@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from numba import njit
@@ -13,16 +14,21 @@ from numba import njit
 log = logging.getLogger(__name__)
 
 
-def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles a loop; options are those of `numba.njit` beyond ours.
+def compiled(*parts: ModuleType, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles a loop.
 
     The files of the cache are named after the hash of the source. numba compares sources only after it has read the
     index, which names the types of the arguments: a renamed type made an old index unreadable, an error for good.
+
+    Args:
+        parts: other modules whose code is compiled in.
+        options: of `numba.njit`, beyond ours.
     """
     options = {"nogil": True, "error_model": "numpy", **options}
 
     def decorate(function: Callable[..., Any]) -> Any:
-        source = Path(inspect.getfile(function)).read_bytes()
+        files = [inspect.getfile(function), *(inspect.getfile(part) for part in parts)]
+        source = b"".join(Path(file).read_bytes() for file in files)
         function.__qualname__ += f"_{hashlib.sha256(source).hexdigest()[:8]}"
         try:
             return njit(cache=True, **options)(function)

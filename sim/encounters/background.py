@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import shapely
@@ -13,6 +12,8 @@ from sim.collisions import overlap
 from sim.encounters.draw import CARS, VANS, pick
 from sim.encounters.paths import ReferencePath, SpeedProfile
 from sim.encounters.types import Layout, Role, ScriptedActor, actor
+from sim.roads.network import Lane as RoadLane
+from sim.roads.network import Network
 from sim.scenario import MOTOR_CLASSES, TrafficLevel
 
 _KINDS = (*CARS, *CARS, *VANS, "truck_light")
@@ -44,7 +45,7 @@ class _Density:
 _DENSITIES = {"light": _Density(1, 3, (3.0, 5.5)), "dense": _Density(3, 8, (1.6, 2.6))}
 
 
-def with_background(layout: Layout, level: TrafficLevel, net: Any, rng: np.random.Generator) -> Layout:
+def with_background(layout: Layout, level: TrafficLevel, net: Network, rng: np.random.Generator) -> Layout:
     """Return a layout with background traffic.
 
     Vehicles follow those that drive, each with a headway; those behind the conflict actor have the role `jam` and
@@ -105,7 +106,7 @@ def _column(
         yield leader
 
 
-def _in_lane(lane: Any, density: _Density, rng: np.random.Generator) -> Iterator[ScriptedActor]:
+def _in_lane(lane: RoadLane, density: _Density, rng: np.random.Generator) -> Iterator[ScriptedActor]:
     """Yield vehicles in a lane from its end back; at a junction they stop, a lane that leads straight on has none."""
     path = ReferencePath.through(np.array(lane.getShape3D(), np.float64))
     speed = float(lane.getSpeed() * rng.uniform(0.75, 0.95))

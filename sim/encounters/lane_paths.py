@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import shapely
@@ -10,6 +9,8 @@ import shapely
 from sim.encounters.paths import ReferencePath
 from sim.errors import ScenarioError, complaint, did_you_mean
 from sim.geometry import Array
+from sim.roads.network import Lane as RoadLane
+from sim.roads.network import Link, Network
 
 BEFORE_M, AFTER_M = 160.0, 200.0
 """Length of paths before and after the junction, m, network permitting."""
@@ -28,7 +29,7 @@ class LanePath:
     stop_m: float
 
 
-def lane_paths_of(name: str, net: Any, given: Mapping[str, Sequence[str]]) -> dict[str, LanePath]:
+def lane_paths_of(name: str, net: Network, given: Mapping[str, Sequence[str]]) -> dict[str, LanePath]:
     """Return the paths of roles through a junction, from (approach lane, exit lane) of each.
 
     Args:
@@ -79,11 +80,11 @@ def meeting(one: ReferencePath, other: ReferencePath) -> Array:
     return shapely.get_coordinates(shapely.shortest_line(*lines)).mean(axis=0)
 
 
-def _shape(lane: Any) -> Array:
+def _shape(lane: RoadLane) -> Array:
     return np.array(lane.getShape3D(), np.float64)
 
 
-def _inside(net: Any, link: Any) -> Array:
+def _inside(net: Network, link: Link) -> Array:
     """Return the lanes within a junction that a link follows."""
     parts = [np.zeros((0, 3))]
     via = link.getViaLaneID()
@@ -104,16 +105,16 @@ def _direction(line: Array) -> Array:
     return step / max(float(np.hypot(*step)), 1e-9)
 
 
-def _bend(lane: Any, onward: Any) -> float:
+def _bend(lane: RoadLane, onward: RoadLane) -> float:
     """Return the turn from one lane into another, 1 - cos of the angle: 0 for straight on."""
     return 1.0 - float(_direction(_shape(lane)[-2:]) @ _direction(_shape(onward)[:2]))
 
 
-def _leads(link: Any, place: Array) -> bool:
+def _leads(link: Link, place: Array) -> bool:
     return bool(np.hypot(*(_shape(link.getToLane())[0, :2] - place[:2])) < 0.1)
 
 
-def _straightest(lanes: Sequence[Any], place: Array, lane: Any) -> Any:
+def _straightest(lanes: Sequence[RoadLane], place: Array, lane: RoadLane) -> RoadLane | None:
     """Return the straightest predecessor of a lane; None without any."""
     real = [back for back in lanes if not back.getID().startswith(":")]
     real = [back for back in real if any(_leads(link, place) for link in back.getOutgoing())]

@@ -1,11 +1,12 @@
 """Busiest junction of a network, and the area around it."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from shapely.geometry import LineString, Point
 from shapely.ops import unary_union
+
+from sim.roads.network import Network, Node
 
 HALF_M = 150.0
 """Half the side of the area around a junction, m."""
@@ -36,7 +37,7 @@ class JunctionArea:
     cycle: bool
 
 
-def densest_junction(net: Any) -> JunctionArea | None:
+def densest_junction(net: Network) -> JunctionArea | None:
     """Return the junction with the most car lanes around it, signalised ones preferred; None without car lanes."""
     edges = [edge for edge in net.getEdges(withInternal=False) if edge.allows(_CAR)]
     if not edges:
@@ -54,7 +55,7 @@ def densest_junction(net: Any) -> JunctionArea | None:
     return around(net, (float(xy[best, 0]), float(xy[best, 1])))
 
 
-def around(net: Any, xy: tuple[float, float], half_m: float = HALF_M) -> JunctionArea:
+def around(net: Network, xy: tuple[float, float], half_m: float = HALF_M) -> JunctionArea:
     """Return the area of a square around a position, clipped to the network."""
     low_x, low_y, high_x, high_y = net.getBoundary()
     area = (
@@ -80,7 +81,7 @@ def around(net: Any, xy: tuple[float, float], half_m: float = HALF_M) -> Junctio
     )
 
 
-def _weight(node: Any) -> float:
+def _weight(node: Node) -> float:
     """Return the traffic weight of a junction: its car lanes by speed, 0 with fewer than three streets."""
     incoming = [edge for edge in node.getIncoming() if edge.allows(_CAR)]
     streets = {edge.getFromNode().getID() for edge in incoming}
@@ -91,7 +92,7 @@ def _weight(node: Any) -> float:
     return float(lanes) * (1.5 if node.getType().startswith("traffic_light") else 1.0)
 
 
-def beside_junction(net: Any, xy: tuple[float, float]) -> tuple[float, float, float] | None:
+def beside_junction(net: Network, xy: tuple[float, float]) -> tuple[float, float, float] | None:
     """Return x, y and heading in degrees of a roadside unit facing a junction; None without room within 35 m."""
     lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes() if len(lane.getShape()) > 1]
     lines = [(LineString([p[:2] for p in lane.getShape()]), 0.5 * lane.getWidth()) for lane in lanes]

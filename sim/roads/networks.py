@@ -5,12 +5,12 @@ import os
 import re
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from sim.errors import ScenarioError, complaint
 from sim.reading import check_regular, parsing, read_bytes
 from sim.roads.cache import cached
 from sim.roads.convert import CONVERSION, ConvertedMap, convert_map, is_network
+from sim.roads.network import Network
 from sim.roads.tools import Option, drop_header, run_tool, sumo_tools
 from sim.roads.wheels import wheel_file, wheel_folders
 from sim.scenario import Scenario
@@ -60,7 +60,7 @@ def resolve_polygons(scenario: Scenario) -> Path | None:
     return None
 
 
-def read_network(path: Path | str) -> Any:
+def read_network(path: Path | str) -> Network:
     """Read a network with its internal (junction) lanes; recent ones are cached in memory.
 
     Returns:
@@ -73,7 +73,7 @@ def read_network(path: Path | str) -> Any:
 
 
 @lru_cache(maxsize=4)
-def _read(path: str, _changed_ns: int) -> Any:
+def _read(path: str, _changed_ns: int) -> Network:
     import sumolib
 
     check_regular(Path(path), "SUMO network", ScenarioError)

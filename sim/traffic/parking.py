@@ -1,7 +1,8 @@
 """Parked cars in bays at the kerb, seeded."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import shapely
@@ -9,6 +10,8 @@ import shapely
 from sim.bodies.vehicle_types import TYPES, VehicleType
 from sim.geometry import Array, wrap_angle
 from sim.roads.kerbside import houses_of
+from sim.roads.network import Edge, Network
+from sim.roads.network import Lane as RoadLane
 from sim.roads.networks import resolve_polygons
 from sim.rows import Rows
 from sim.scenario import Scenario
@@ -48,7 +51,7 @@ class ParkedCars(Rows):
     bays: shapely.Geometry
 
 
-def parked_cars(scenario: Scenario, net: Any, seed: int) -> ParkedCars:
+def parked_cars(scenario: Scenario, net: Network, seed: int) -> ParkedCars:
     """Park `demand.parked_per_km` cars and vans per km of kerb that has room, around the scenario's area.
 
     There is room on the right of a street of at most 50 km/h whose outermost lane is for cars, where neither another
@@ -93,7 +96,7 @@ def parked_cars(scenario: Scenario, net: Any, seed: int) -> ParkedCars:
 class _Ground:
     """Occupied ground: lanes, junctions, surroundings of roadside units, other bays, and all beyond the area."""
 
-    def __init__(self, net: Any, lanes: list[Any], scenario: Scenario) -> None:
+    def __init__(self, net: Network, lanes: Sequence[RoadLane], scenario: Scenario) -> None:
         area = scenario.network.area_m or net.getBoundary()
         self._frame = shapely.box(*area).buffer(NEAR_M, join_style="mitre")
         lanes = [lane for lane in lanes if len(lane.getShape()) > 1 and self.reaches(lane)]
@@ -109,7 +112,7 @@ class _Ground:
         self._tree = shapely.STRtree(self._shapes)
         self._bays: list[shapely.Polygon] = []
 
-    def reaches(self, lane: Any) -> bool:
+    def reaches(self, lane: RoadLane) -> bool:
         """Return whether a lane lies within the area and its margin."""
         return bool(self._frame.intersects(shapely.LineString([corner[:2] for corner in lane.getShape()])))
 
@@ -124,7 +127,7 @@ class _Ground:
         return True
 
 
-def _slots(lane: Any) -> list[tuple[Array, float, shapely.Polygon]]:
+def _slots(lane: RoadLane) -> list[tuple[Array, float, shapely.Polygon]]:
     """Return (centre on the lane's line, heading, bay) along the straight parts of a lane."""
     line = np.array(lane.getShape3D(), np.float64)
     step = np.hypot(*np.diff(line[:, :2], axis=0).T)
@@ -147,7 +150,7 @@ def _slots(lane: Any) -> list[tuple[Array, float, shapely.Polygon]]:
     return found
 
 
-def _kerb_lane(edge: Any) -> Any | None:
+def _kerb_lane(edge: Edge) -> RoadLane | None:
     """Return the outermost car lane of a street with only footways beside it; None for other streets."""
     if not _SPEED_MPS[0] <= edge.getSpeed() <= _SPEED_MPS[1]:
         return None

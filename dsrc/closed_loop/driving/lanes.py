@@ -2,7 +2,6 @@
 
 import math
 from functools import cache, lru_cache
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,6 +10,8 @@ from dsrc.closed_loop.driving.path import STEP_M, Path
 from dsrc.closed_loop.types import LaneMap
 from sim.encounters import network_file
 from sim.geometry import Array
+from sim.roads.network import Lane as RoadLane
+from sim.roads.network import Network
 from sim.roads.networks import names_network, read_network
 from sim.scenario import Scenario
 
@@ -63,13 +64,9 @@ class RouteLanes:
 
 
 class NetworkLanes:
-    """Lanes of a SUMO network, junctions included, without pavements.
+    """Lanes of a SUMO network, junctions included, without pavements."""
 
-    Args:
-        net: `sumolib.net.Net`, read with its internal lanes.
-    """
-
-    def __init__(self, net: Any) -> None:
+    def __init__(self, net: Network) -> None:
         lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
         lanes = [lane for lane in lanes if _driven(lane) and len(lane.getShape()) > 1]
         self._net = net
@@ -144,7 +141,7 @@ class NetworkLanes:
 
 
 @lru_cache(maxsize=4)
-def _network_lanes(net: Any) -> NetworkLanes:
+def _network_lanes(net: Network) -> NetworkLanes:
     return NetworkLanes(net)
 
 
@@ -159,7 +156,7 @@ def lanes_of(scenario: Scenario, seed: int) -> LaneMap | None:
     return _network_lanes(read_network(network_file(scenario, seed)))
 
 
-def _driven(lane: Any) -> bool:
+def _driven(lane: RoadLane) -> bool:
     """Return whether anything drives on a lane; internal lanes have permissions too."""
     if lane.getEdge().getFunction() in ("crossing", "walkingarea"):
         return False

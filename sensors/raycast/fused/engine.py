@@ -19,21 +19,10 @@ from numpy.typing import NDArray
 
 from sensors.optics.beams import BLOCK, Beams
 from sensors.raycast.base import Bodies, Hits, Returns, Solid, SweepRequest
+from sensors.raycast.fused.bodies import BodyPaths, Calls, place_bodies, see_bodies
 from sensors.raycast.fused.embree import Hierarchy, InstanceScene, library
-from sensors.raycast.fused.kernel import (
-    ROOM_WORDS,
-    BodyPaths,
-    Calls,
-    PointColumns,
-    Scratch,
-    Tables,
-    World,
-    cast_rays,
-    close_gap,
-    place_bodies,
-    see_bodies,
-    sweep_rings,
-)
+from sensors.raycast.fused.kernel import ROOM_WORDS, cast_rays, close_gap, sweep_rings
+from sensors.raycast.fused.memory import PointColumns, Scratch, Tables, World
 
 _FREE_BIT = 31
 """Ray-mask bit of sensors that hide no body; each bit below hides one body from the sensor that it carries."""

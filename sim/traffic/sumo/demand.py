@@ -5,7 +5,6 @@ import io
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from sim.bodies.vehicle_types import TYPES, VehicleType, types_of
 from sim.errors import ScenarioError, complaint
 from sim.files import write_file
 from sim.reading import LARGEST_BYTES, parsing, read_bytes
+from sim.roads.network import Network
 from sim.roads.networks import resolve_trips
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
@@ -22,7 +22,7 @@ AFTER_S = 1800.0
 """Duration of trips after the nominal end, s, for runs that continue."""
 
 
-def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
+def write_demand(scenario: Scenario, net: Network, seed: int, path: Path) -> Path:
     """Write vTypes, vehicles, bicycles and persons of a scenario, sorted by departure.
 
     One random stream per kind: adding bicycles leaves the cars as they were.
@@ -49,7 +49,9 @@ def write_demand(scenario: Scenario, net: Any, seed: int, path: Path) -> Path:
     return path
 
 
-def _vehicles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+def _vehicles(
+    scenario: Scenario, net: Network, rng: np.random.Generator, end_s: float
+) -> Iterator[tuple[float, str, str]]:
     labels = sorted(name for name, weight in scenario.demand.type_mix.items() if weight > 0)
     weights = np.array([scenario.demand.type_mix[name] for name in labels])
     routes: dict[str, Routes] = {}
@@ -60,7 +62,9 @@ def _vehicles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: flo
         yield _vehicle(f"v{index}", kind, routes[kind.vclass], depart_s, rng)
 
 
-def _recorded(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+def _recorded(
+    scenario: Scenario, net: Network, rng: np.random.Generator, end_s: float
+) -> Iterator[tuple[float, str, str]]:
     """Yield the recorded trips from a seeded start time on, in vehicles of `sim.bodies.vehicle_types`."""
     demand = scenario.demand
     labels = sorted(name for name, weight in demand.type_mix.items() if weight > 0)
@@ -106,7 +110,9 @@ def _read_trips(path: Path) -> list[tuple[float, list[str], bool]]:
     return sorted(found)
 
 
-def _bicycles(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+def _bicycles(
+    scenario: Scenario, net: Network, rng: np.random.Generator, end_s: float
+) -> Iterator[tuple[float, str, str]]:
     if scenario.demand.bicycles_per_hour == 0:
         return
     routes = _require(scenario, net, "bicycle")
@@ -125,7 +131,9 @@ def _vehicle(
     return round(depart_s, 2), name, text
 
 
-def _persons(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: float) -> Iterator[tuple[float, str, str]]:
+def _persons(
+    scenario: Scenario, net: Network, rng: np.random.Generator, end_s: float
+) -> Iterator[tuple[float, str, str]]:
     """Yield walks between two random points of connected sidewalks and footways."""
     if scenario.demand.persons_per_hour == 0:
         return
@@ -146,7 +154,7 @@ def _persons(scenario: Scenario, net: Any, rng: np.random.Generator, end_s: floa
         yield round(depart_s, 2), f"p{index}", text
 
 
-def _require(scenario: Scenario, net: Any, vclass: str) -> Routes:
+def _require(scenario: Scenario, net: Network, vclass: str) -> Routes:
     network, demand = scenario.network, scenario.demand
     area = network.area_m if demand.through_area else None
     focus = demand.focus_m

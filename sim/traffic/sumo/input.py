@@ -1,8 +1,7 @@
 """SUMO input: options and signal programs."""
 
-from typing import Any
-
 from sim.errors import ScenarioError, complaint, did_you_mean
+from sim.roads.network import Network
 from sim.scenario import Scenario, SignalProgram
 
 
@@ -25,7 +24,7 @@ def sumo_options(scenario: Scenario, seed: int) -> list[str]:
     return [f"--{name}={value}" for name, value in options.items()]
 
 
-def check_signals(scenario: Scenario, net: Any) -> None:
+def check_signals(scenario: Scenario, net: Network) -> None:
     """Check signal programs against the network: SUMO's own messages are vague or missing.
 
     Raises:

@@ -1,15 +1,17 @@
 """Candidate routes through a network or an area of it, and connected footways."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from shapely.geometry import LineString, Point, box
+
+from sim.roads.network import Edge, Network
+from sim.roads.network import Lane as RoadLane
 
 Area = tuple[float, float, float, float]
 
@@ -32,7 +34,7 @@ class Routes:
 
 
 @lru_cache(maxsize=32)
-def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[float, float] | None) -> Routes:
+def candidate_routes(net: Network, vclass: str, area: Area | None, focus: tuple[float, float] | None) -> Routes:
     """Return the fastest routes between the gates of an area that touch it.
 
     A gate is an edge where traffic enters or leaves: one without a predecessor, or a successor, within the zone (the
@@ -66,7 +68,7 @@ def candidate_routes(net: Any, vclass: str, area: Area | None, focus: tuple[floa
 
 
 def _between(
-    edges: list[Any],
+    edges: Sequence[Edge],
     graph: csr_matrix,
     origins: list[int],
     goals: list[int],
@@ -93,7 +95,7 @@ def _between(
 
 
 @lru_cache(maxsize=8)
-def walkable_edges(net: Any, area: Area | None) -> tuple[tuple[Any, ...], ...]:
+def walkable_edges(net: Network, area: Area | None) -> tuple[tuple[Edge, ...], ...]:
     """Return groups of connected sidewalk and footway edges near an area.
 
     Walking areas and crossings connect edges where the network has them, else shared junctions do, as in SUMO.
@@ -116,7 +118,7 @@ def walkable_edges(net: Any, area: Area | None) -> tuple[tuple[Any, ...], ...]:
     return tuple(stretches)
 
 
-def _is_pavement(lane: Any) -> bool:
+def _is_pavement(lane: RoadLane) -> bool:
     return bool(lane.allows("pedestrian") and not lane.allows("passenger"))
 
 
@@ -134,7 +136,7 @@ def _shared_junctions(paved: list) -> Iterator[tuple[int, int]]:
             yield first.setdefault(node.getID(), row), row
 
 
-def _near(edge: Any, area: Area | None, margin: float) -> bool:
+def _near(edge: Edge, area: Area | None, margin: float) -> bool:
     """Return whether an edge reaches into the area with its margin."""
     if area is None:
         return True
@@ -142,7 +144,7 @@ def _near(edge: Any, area: Area | None, margin: float) -> bool:
     return bool(zone.intersects(LineString([p[:2] for p in edge.getShape()])))
 
 
-def _next(edge: Any, vclass: str) -> Iterator[Any]:
+def _next(edge: Edge, vclass: str) -> Iterator[Edge]:
     """Yield the successors of an edge for a vehicle class, without U-turns."""
     for other, connections in edge.getOutgoing().items():
         turns_back = edge.getFromNode() is other.getToNode() and edge.getToNode() is other.getFromNode()

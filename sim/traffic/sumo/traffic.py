@@ -14,6 +14,7 @@ from sim.bodies.vehicle_types import TYPES, VehicleType
 from sim.boxes import Boxes
 from sim.errors import TrafficError
 from sim.geometry import center_from_sumo
+from sim.roads.network import Network
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
 from sim.traffic.base import PARKED, Actors, Limits, TrafficLight, check_command, check_place
@@ -241,7 +242,7 @@ class SumoTraffic:
                 text = " ".join(str(error).split())
                 raise TrafficError(f"{scenario.name}: SUMO does not start: {text}") from None
 
-    def _park(self, scenario: Scenario, net: Any) -> None:
+    def _park(self, scenario: Scenario, net: Network) -> None:
         """Give the parked cars the first ids; they are not in SUMO."""
         cars = parked_cars(scenario, net, self._seed)
         users: list[_RoadUser] = []

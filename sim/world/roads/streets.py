@@ -1,12 +1,14 @@
 """Lanes and junctions of a network near an area, as lines and polygons."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import shapely
 
 from sim.geometry import Array
+from sim.roads.network import Edge, Network
+from sim.roads.network import Lane as RoadLane
 from sim.world.roads.terrain import Terrain, land
 
 Area = tuple[float, float, float, float]
@@ -80,7 +82,7 @@ class Streets:
         return self.terrain.height(xy)
 
 
-def read_streets(net: Any, area: Area | None, margin_m: float, bays: shapely.Geometry = NOTHING) -> Streets:
+def read_streets(net: Network, area: Area | None, margin_m: float, bays: shapely.Geometry = NOTHING) -> Streets:
     """Read the lanes within `margin_m` of an area (default: the whole network) from a sumolib network.
 
     Args:
@@ -113,7 +115,7 @@ def read_streets(net: Any, area: Area | None, margin_m: float, bays: shapely.Geo
     return Streets(area, window, tuple(lanes), road, walk, rail, terrain, bays)
 
 
-def _kind(edge: Any, lane: Any) -> str:
+def _kind(edge: Edge, lane: RoadLane) -> str:
     if edge.getFunction() == "crossing":
         return "crossing"
     if any(lane.allows(name) for name in _ROAD_CLASSES):
@@ -123,7 +125,7 @@ def _kind(edge: Any, lane: Any) -> str:
     return "walk" if lane.allows("pedestrian") else "rail"
 
 
-def _lane(edge: Any, lane: Any, kinds: list[str], line: Array, opposite: bool) -> Lane:
+def _lane(edge: Edge, lane: RoadLane, kinds: list[str], line: Array, opposite: bool) -> Lane:
     own = lane.getIndex()
     kind = kinds[own]
     # A cycle lane beside a carriageway is part of it.
@@ -147,7 +149,7 @@ def _lane(edge: Any, lane: Any, kinds: list[str], line: Array, opposite: bool) -
     )
 
 
-def _stop(edge: Any, lane: Any) -> str:
+def _stop(edge: Edge, lane: RoadLane) -> str:
     """Return the control at the end of a lane: "signal", "yield" or ""."""
     if edge.getToNode().getType().startswith("traffic_light"):
         return "signal"
@@ -155,7 +157,7 @@ def _stop(edge: Any, lane: Any) -> str:
     return "yield" if states and states <= {"m", "s", "w"} and len(edge.getToNode().getIncoming()) > 2 else ""
 
 
-def _has_opposite(edge: Any) -> bool:
+def _has_opposite(edge: Edge) -> bool:
     if edge.getFunction() != "":
         return False
     back = [other for other in edge.getToNode().getOutgoing() if other.getToNode() is edge.getFromNode()]
@@ -175,7 +177,7 @@ def _cover(lanes: list[Lane], kinds: tuple[str, ...]) -> shapely.Geometry:
     return shapely.unary_union(strips)
 
 
-def _junctions(net: Any, frame: shapely.Geometry) -> shapely.Geometry:
+def _junctions(net: Network, frame: shapely.Geometry) -> shapely.Geometry:
     """Return the polygons of the junctions that motor vehicles enter."""
     shapes = []
     for node in net.getNodes():
@@ -187,7 +189,7 @@ def _junctions(net: Any, frame: shapely.Geometry) -> shapely.Geometry:
     return shapely.unary_union(shapes)
 
 
-def _walking_areas(edges: list[Any], frame: shapely.Geometry) -> shapely.Geometry:
+def _walking_areas(edges: Sequence[Edge], frame: shapely.Geometry) -> shapely.Geometry:
     lines = [np.array(edge.getLanes()[0].getShape())[:, :2] for edge in edges]
     shapes = [shapely.Polygon(line).buffer(0) for line in lines if len(line) > 2]
     return shapely.unary_union([shape for shape in shapes if shape.intersects(frame)])
