@@ -1,8 +1,7 @@
 """Compiled loop of `points_in_boxes`: boxes listed by cells of the plane."""
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
 from sensors.compiled import compiled
 
@@ -13,24 +12,24 @@ GROWN_M = 1e-3
 
 
 @compiled(forceinline=True)
-def _cell(place: Any) -> Any:
+def _cell(place: float) -> np.int64:
     """Return the number of the cell of a coordinate; cells a period apart share it."""
     return np.int64(np.floor(place / CELL_M)) & (CELLS - 1)
 
 
 @compiled()
 def pairs_inside(
-    points: Any,
-    matrix: Any,
-    low: Any,
-    high: Any,
-    margin: Any,
-    center: Any,
-    reach: Any,
-    turn: Any,
-    hull: Any,
-    pairs: Any,
-) -> Any:
+    points: NDArray[np.float32],
+    matrix: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    margin: float,
+    center: NDArray[np.float64],
+    reach: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    hull: bool,
+    pairs: NDArray[np.int32],
+) -> int:
     """List the pairs of a point and a box around it.
 
     Args:

@@ -1,14 +1,22 @@
 """Compiled loops over the points of a cloud: voxels in first-come order, sums of cells, maxima of pillars."""
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
 from sensors.compiled import compiled
 
+Cells = NDArray[np.int64]
+
 
 @compiled()
-def sort_voxels(points: Any, low: Any, size: Any, shape: Any, max_points: Any, max_voxels: Any) -> Any:
+def sort_voxels(
+    points: NDArray[np.float32],
+    low: NDArray[np.floating],
+    size: NDArray[np.floating],
+    shape: Cells,
+    max_points: int,
+    max_voxels: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Sort points into voxels in first-come order; see `dsrc.ops.pillars.voxelise`.
 
     Args:
@@ -55,7 +63,9 @@ def sort_voxels(points: Any, low: Any, size: Any, shape: Any, max_points: Any, m
 
 
 @compiled()
-def sum_cells(points: Any, low: Any, size: Any, shape: Any) -> Any:
+def sum_cells(
+    points: NDArray[np.float32], low: NDArray[np.floating], size: NDArray[np.floating], shape: Cells
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Sum the points of each cell; points beyond the range count in its outermost cells.
 
     Args:
@@ -94,7 +104,9 @@ def sum_cells(points: Any, low: Any, size: Any, shape: Any) -> Any:
 
 
 @compiled(fastmath={"contract"})
-def pillar_maxima(points: Any, count: Any, centre: Any, weight: Any) -> Any:
+def pillar_maxima(
+    points: NDArray[np.float32], count: NDArray[np.int64], centre: NDArray[np.float32], weight: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Return the (V, C) float32 maxima of a linear layer over the points of each pillar.
 
     The layer reads a point's own D features, its offset to the mean of the pillar's points, and that to the pillar's

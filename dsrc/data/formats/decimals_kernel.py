@@ -1,11 +1,15 @@
 """Compiled loop of `decimals`: eight digits at a time, products of 128 bits."""
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core.base import BaseContext
+from numba.core.typing import Context, Signature
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from sensors.compiled import compiled
 
@@ -16,34 +20,42 @@ EXACT = 22
 POWERS = 80
 """Largest power of ten in the table, and of its inverse: times 19 digits they stay among the normal float64."""
 
+Lowering = Callable[[BaseContext, ir.IRBuilder, Signature, Sequence[ir.Value]], ir.Value]
+
 _u = np.uint64
 # An integer with a sign and one without would make a float.
 _ONE, _TEN = _u(1), _u(10)
 _TENS = np.array([10**k for k in range(9)], np.uint64)
 
 
-def _typed_zeros(typing_context: Any, word: Any) -> Any:
+def _typed_zeros(typing_context: Context, word: types.Type) -> tuple[Signature, Lowering]:
     """Return the number of trailing zero bits of a word."""
 
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def generate(
+        context: BaseContext, builder: ir.IRBuilder, signature: Signature, values: Sequence[ir.Value]
+    ) -> ir.Value:
         return builder.cttz(values[0], ir.Constant(ir.IntType(1), 0))
 
     return types.uint64(types.uint64), generate
 
 
-def _typed_head(typing_context: Any, word: Any) -> Any:
+def _typed_head(typing_context: Context, word: types.Type) -> tuple[Signature, Lowering]:
     """Return the number of leading zero bits of a word other than 0."""
 
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def generate(
+        context: BaseContext, builder: ir.IRBuilder, signature: Signature, values: Sequence[ir.Value]
+    ) -> ir.Value:
         return builder.ctlz(values[0], ir.Constant(ir.IntType(1), 1))
 
     return types.uint64(types.uint64), generate
 
 
-def _typed_upper(typing_context: Any, a: Any, b: Any) -> Any:
+def _typed_upper(typing_context: Context, a: types.Type, b: types.Type) -> tuple[Signature, Lowering]:
     """Return the upper 64 bits of a product."""
 
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def generate(
+        context: BaseContext, builder: ir.IRBuilder, signature: Signature, values: Sequence[ir.Value]
+    ) -> ir.Value:
         wide = ir.IntType(128)
         product = builder.mul(*(builder.zext(value, wide) for value in values))
         return builder.trunc(builder.lshr(product, ir.Constant(wide, 64)), ir.IntType(64))
@@ -57,14 +69,14 @@ _upper: Any = intrinsic(_typed_upper)
 
 
 @compiled(forceinline=True)
-def _is_space(word: Any) -> Any:
+def _is_space(word: np.uint64) -> np.bool_:
     """Return whether the first byte of a word is white space."""
     byte = word & _u(0xFF)
     return byte == _u(32) or (byte >= _u(9) and byte <= _u(13))
 
 
 @compiled(forceinline=True)
-def _digits(word: Any, mantissa: Any) -> Any:
+def _digits(word: np.uint64, mantissa: np.uint64) -> tuple[np.uint64, np.uint64]:
     """Return the number of leading digits among a word's eight bytes, and the mantissa with them appended."""
     word ^= _u(0x3030303030303030)
     other = ((word + _u(0x7676767676767676)) | word) & _u(0x8080808080808080)
@@ -81,7 +93,7 @@ def _digits(word: Any, mantissa: Any) -> Any:
 
 
 @compiled(forceinline=True)
-def _rounded(mantissa: Any, exponent: Any, high: Any, low: Any) -> Any:
+def _rounded(mantissa: np.uint64, exponent: np.int64, high: NDArray[np.uint64], low: NDArray[np.uint64]) -> np.uint64:
     """Return the bits of the float64 next to mantissa x 10^exponent; 0 where 128 bits leave it open.
 
     The power is rounded down: the product lies between the one computed and that with one more of the last bit.
@@ -112,7 +124,17 @@ def _rounded(mantissa: Any, exponent: Any, high: Any, low: Any) -> Any:
 
 
 @compiled()
-def scan(words: Any, end: Any, place: Any, values: Any, bits: Any, done: Any, tens: Any, high: Any, low: Any) -> Any:
+def scan(
+    words: NDArray[np.uint64],
+    end: int,
+    place: int,
+    values: NDArray[np.float64],
+    bits: NDArray[np.uint64],
+    done: int,
+    tens: NDArray[np.float64],
+    high: NDArray[np.uint64],
+    low: NDArray[np.uint64],
+) -> tuple[np.uint64, int]:
     """Read numbers of a text.
 
     Args:
