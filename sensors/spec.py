@@ -255,7 +255,7 @@ def _readers(kind: type[Prism | LidarSpec]) -> dict[str, tuple[str, Callable[[An
     return {field.name: _OF_TYPE[field.type] for field in msgspec.structs.fields(kind)}
 
 
-def _number(value: Any) -> float:
+def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise TypeError
     return float(value)
@@ -268,7 +268,7 @@ def _whole(value: Any) -> int:
 
 
 def _exactly(kind: type) -> Callable[[Any], Any]:
-    def read(value: Any) -> Any:
+    def read(value: object) -> Any:
         if isinstance(value, np.bool_):
             value = bool(value)
         if not isinstance(value, kind):
@@ -278,10 +278,10 @@ def _exactly(kind: type) -> Callable[[Any], Any]:
     return read
 
 
-def _each(read: Callable[[Any], Any], length: int | None = None) -> Callable[[Any], tuple[Any, ...]]:
+def _each(read: Callable[[object], object], length: int | None = None) -> Callable[[Any], tuple[Any, ...]]:
     """Return the converter of a table of values, of a given length or any."""
 
-    def read_all(value: Any) -> tuple[Any, ...]:
+    def read_all(value: object) -> tuple[Any, ...]:
         rows = value.tolist() if isinstance(value, np.ndarray) else value
         if not isinstance(rows, Sequence) or isinstance(rows, str) or length not in (None, len(rows)):
             raise TypeError

@@ -34,7 +34,7 @@ class Rows:
             *[getattr(self, name) if shared else _picked(getattr(self, name), which) for name, shared in fields_of]
         )
 
-    def _numbers(self, rows: NDArray[Any]) -> NDArray[np.integer]:
+    def _numbers(self, rows: NDArray) -> NDArray[np.integer]:
         if rows.dtype != bool:
             return rows if rows.size else rows.astype(np.intp)
         if rows.shape != (len(self),):

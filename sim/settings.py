@@ -77,7 +77,7 @@ def convert(
         raise error(_explain(wrong, raw, kind, where, field)) from None
 
 
-def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
+def _unknown_keys(raw: object, kind: object, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
     """Yield ((path of keys), struct) for every key unknown to the struct of its table."""
     if isinstance(raw, list) and get_origin(kind) is tuple:
         for index, item in enumerate(raw):
@@ -95,7 +95,7 @@ def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Itera
             yield from _unknown_keys(value, hints[key], (*where, key))
 
 
-def _explain(wrong: msgspec.ValidationError, raw: object, kind: Any, where: Path | str, outer: str) -> str:
+def _explain(wrong: msgspec.ValidationError, raw: object, kind: object, where: Path | str, outer: str) -> str:
     """Return the one-line form of a msgspec message such as `Expected X, got Y - at `$.a.b[0]``."""
     message = str(wrong)
     place = _PLACE.match(_named(raw, kind) or message if "[...]" in message else message)
@@ -141,7 +141,7 @@ def _named(raw: object, kind: Any) -> str:
     return ""
 
 
-def _choices(kind: Any, keys: Iterable[str]) -> tuple:
+def _choices(kind: object, keys: Iterable[str]) -> tuple:
     """Return the values of a `Literal` below a type, those of the items of a tuple or dict included."""
     for key in keys:
         while get_origin(kind) in (Annotated, tuple, dict):

@@ -48,7 +48,7 @@ def examples_of(command: type) -> list[str]:
     return _parts(command)[1]
 
 
-def option_words(name: str, kind: Any) -> list[str]:
+def option_words(name: str, kind: object) -> list[str]:
     """Return an option as it is typed, with its opposite where it is a switch; empty for a positional argument."""
     if _POSITIONAL in get_args(kind):
         return []
@@ -82,7 +82,7 @@ def fields_of(
             yield one.encode_name, hints[one.name], default, texts.get(one.name, "")
 
 
-def _is_struct(kind: Any) -> bool:
+def _is_struct(kind: object) -> bool:
     return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
@@ -123,7 +123,7 @@ def metavar(kind: Any) -> str:
     return _METAVARS[kind]
 
 
-def _struct(struct: type[msgspec.Struct], values: Mapping[str, Any]) -> Any:
+def _struct(struct: type[msgspec.Struct], values: Mapping[str, object]) -> Any:
     return struct(
         **{
             one.name: _struct(one.type, values) if _is_struct(one.type) else values[one.encode_name]

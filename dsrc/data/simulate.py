@@ -158,7 +158,7 @@ def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: fl
     (log if area is None else log.within(area)).save(path)
 
 
-def _non_defaults(value: Any) -> Any:
+def _non_defaults(value: object) -> Any:
     """Return settings as plain values without defaults, so that later versions can add settings."""
     if isinstance(value, msgspec.Struct):
         fields = {field.name: field for field in msgspec.structs.fields(value)}

@@ -45,7 +45,7 @@ class Receiver:
     """
 
     def __init__(
-        self, spec: ChannelSpec, seed: int, interval_s: float, settings: Any, joined: Sequence[Any] = ()
+        self, spec: ChannelSpec, seed: int, interval_s: float, settings: object, joined: Sequence[object] = ()
     ) -> None:
         self.channel = Channel(spec, seed, interval_s)
         alone = getattr(settings, "fusion", "") in _CLOUDS  # one cloud is for all of them

@@ -33,8 +33,8 @@ class PostSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def decode_detections(
-    cls_logits: Any,
-    regression: Any,
+    cls_logits: object,
+    regression: object,
     anchors: NDArray[np.float64],
     settings: PostSettings,
     label: NDArray[np.int64] | None = None,
@@ -52,8 +52,8 @@ def decode_detections(
 
 
 def candidates(
-    cls_logits: Any,
-    regression: Any,
+    cls_logits: object,
+    regression: object,
     anchors: NDArray[np.float64],
     score_threshold: float,
     label: NDArray[np.int64] | None = None,

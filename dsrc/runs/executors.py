@@ -62,7 +62,7 @@ class Executor(Protocol):
     threads: int | None
     chunk: int
 
-    def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
+    def run(self, task: Task, items: Sequence[object], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
         """Run a task for all items and yield the results as they are ready.
 
         Raises:
@@ -83,7 +83,7 @@ class SerialExecutor:
     threads: int | None = None
     chunk = 1
 
-    def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
+    def run(self, task: Task, items: Sequence[object], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
         """See `Executor`."""
         for row, item in enumerate(items):
             yield _result_of(row, task, item, _reporter(row, progress))
@@ -110,7 +110,7 @@ class ProcessExecutor:
         self._count, self._retries = workers, retries
         self._workers: list[_Worker] = []
 
-    def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
+    def run(self, task: Task, items: Sequence[object], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
         """See `Executor`."""
         waiting, deaths = deque(range(len(items))), [0] * len(items)
         while waiting or any(worker.row is not None for worker in self._workers):
@@ -173,7 +173,7 @@ class RayExecutor:
         self._ray, self._workers, self._address, self._retries = ray, workers, address, retries
         self._started = False
 
-    def run(self, task: Task, items: Sequence[Any], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
+    def run(self, task: Task, items: Sequence[object], progress: ItemProgress | None = None) -> Iterator[TaskResult]:
         """See `Executor`; progress is reported per item."""
         # A fresh process for every item, as libsumo wants it; Ray runs an item again whose process has died.
         remote = self._ray.remote(num_cpus=1, max_retries=self._retries, max_calls=1)(_ray_task)
@@ -262,14 +262,14 @@ def _reporter(row: int, progress: ItemProgress | None) -> Progress:
     return lambda done, wanted: progress(row, done, wanted) if progress is not None else None
 
 
-def _result_of(row: int, task: Task, item: Any, report: Progress) -> TaskResult:
+def _result_of(row: int, task: Task, item: object, report: Progress) -> TaskResult:
     try:
         return TaskResult(row, task(item, report))
     except UserError as error:
         return TaskResult(row, error=error)
 
 
-def _ray_task(row: int, task: Task, item: Any, folder: str) -> TaskResult:
+def _ray_task(row: int, task: Task, item: object, folder: str) -> TaskResult:
     if os.path.isdir(folder):  # relative paths are those of this process
         os.chdir(folder)
     return _result_of(row, task, item, lambda done, wanted: None)
@@ -287,7 +287,7 @@ class _Worker:
             self._process.start()
         theirs.close()
 
-    def give(self, row: int, task: Task, item: Any) -> None:
+    def give(self, row: int, task: Task, item: object) -> None:
         self.row = row
         try:
             self.pipe.send((row, task, item))

@@ -1,7 +1,6 @@
 """Jobs of a run: done by any number of workers, their progress summed, their errors collected."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from dsrc.runs.executors import Executor, Pool, Progress, Task, TaskResult
 from sim.errors import UserError
@@ -9,7 +8,7 @@ from sim.errors import UserError
 
 def results_of(
     task: Task,
-    jobs: Sequence[Any],
+    jobs: Sequence[object],
     workers: Pool | Executor,
     progress: Progress | None = None,
     steps: Sequence[int] | None = None,
@@ -52,7 +51,7 @@ def results_of(
 
 def run_jobs(
     task: Task,
-    jobs: Sequence[Any],
+    jobs: Sequence[object],
     workers: Pool | Executor,
     progress: Progress | None = None,
     steps: Sequence[int] | None = None,

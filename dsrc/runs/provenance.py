@@ -24,7 +24,7 @@ PACKAGES = (
 """Packages whose version can change a number."""
 
 
-def provenance(settings: Mapping[str, Any], seed: int, data: Mapping[str, str] | None = None) -> dict[str, Any]:
+def provenance(settings: Mapping[str, object], seed: int, data: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return the provenance of a run; equal runs give equal values.
 
     Args:

@@ -133,7 +133,7 @@ def draw_cell(axes: Axes, x: float, y: float, color: Sequence[float], text: str,
     axes.text(x, y, text, ha="center", va="center", fontsize=7.5, color=ink, fontweight=weight)
 
 
-def png_bytes(figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int = 150) -> bytes:
+def png_bytes(figure: Figure, made_by: Mapping[str, object] | None = None, dpi: int = 150) -> bytes:
     """PNG of a figure; `made_by` goes into its description, where image tools show it."""
     description = json.dumps(made_by or {}, sort_keys=True)
     buffer = io.BytesIO()
@@ -142,6 +142,6 @@ def png_bytes(figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int
     return buffer.getvalue()
 
 
-def write_figure(path: Path, figure: Figure, made_by: Mapping[str, Any] | None = None, dpi: int = 150) -> None:
+def write_figure(path: Path, figure: Figure, made_by: Mapping[str, object] | None = None, dpi: int = 150) -> None:
     """Write the PNG of a figure, see `png_bytes`; an interrupted one leaves what was there."""
     write_file(path, png_bytes(figure, made_by, dpi))

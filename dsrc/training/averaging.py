@@ -56,7 +56,7 @@ class WeightSelection(pl.Callback):
         self._stop(trainer)
 
     def on_train_batch_end(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: object, batch: object, batch_idx: int
     ) -> None:
         """Move the average towards the weights of this step."""
         if not self._average:
@@ -92,7 +92,7 @@ class WeightSelection(pl.Callback):
         names = ("metrics", "epoch", "_highest", "_waited", "_steps", "_average")
         return {name: getattr(self, name) for name in names}
 
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+    def load_state_dict(self, state_dict: dict[str, object]) -> None:
         """Restore the state of a checkpoint."""
         for name, value in state_dict.items():
             setattr(self, name, value)

@@ -161,7 +161,7 @@ class DetectionModule(pl.LightningModule):
                 "rate"
             )
 
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+    def on_save_checkpoint(self, checkpoint: dict[str, object]) -> None:
         """Store the count of the alarm, which an interruption does not reset."""
         checkpoint["zeros_in_a_row"] = self._zeros_in_a_row
 

@@ -37,7 +37,7 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.last, self.best = self.checkpoints / "last.ckpt", self.checkpoints / "best.pt"
 
-    def state(self, record: Mapping[str, Any]) -> State:
+    def state(self, record: Mapping[str, object]) -> State:
         """Return the progress of the run that the folder holds.
 
         Raises:
@@ -58,7 +58,7 @@ class RunFolder:
         _check_archive(self.last)
         return "interrupted"
 
-    def start(self, record: Mapping[str, Any], anew: bool) -> None:
+    def start(self, record: Mapping[str, object], anew: bool) -> None:
         """Write the record of a run.
 
         Args:
@@ -96,7 +96,7 @@ class RunFolder:
         if before[-1:] != [now]:
             write_json(self.environment, [*before, now])
 
-    def _check_same_run(self, record: Mapping[str, Any]) -> None:
+    def _check_same_run(self, record: Mapping[str, object]) -> None:
         """Compare the recorded run with the requested one."""
         if not self.settings.exists():
             hint = "; choose another folder or remove this one"
@@ -121,7 +121,7 @@ def validations_decide(keep: str, patience: int | None) -> str | None:
     return "keep" if keep == "best" else "patience" if patience is not None else None
 
 
-def _decisive(record: Mapping[str, Any]) -> dict[str, object]:
+def _decisive(record: Mapping[str, object]) -> dict[str, object]:
     """Return the entries of a record that decide the weights, by name."""
     plain = msgspec.json.decode(msgspec.json.encode(record))
     recipe = of_today(plain["settings"]["recipe"])

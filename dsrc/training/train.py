@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import lightning.pytorch as pl
 import msgspec
@@ -205,7 +204,7 @@ def _finish(
     trained: Detector,
     selection: WeightSelection,
     loaders: DetectionData,
-    record: dict[str, Any],
+    record: dict[str, object],
     half: bool,
 ) -> None:
     """Write the detector, and the result that its file has on the validation frames."""

@@ -164,7 +164,7 @@ def _require_points(sweep: Sweep) -> None:
 
 
 def _applied(
-    corruption: Corruption, family: Family, frame: Frame, row: int, settings: Any, rng: np.random.Generator
+    corruption: Corruption, family: Family, frame: Frame, row: int, settings: object, rng: np.random.Generator
 ) -> Sweep:
     """Return the sweep of the agent in a row of the frame, by the frame-level model where the family has one."""
     in_frame = corruption.in_frame if family == "physical" else corruption.paper_in_frame

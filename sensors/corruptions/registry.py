@@ -193,7 +193,7 @@ PAPER_SIX = ("beam_missing", "motion_blur", "fog", "snow", "crosstalk", "cross_s
 
 def register_corruption(
     name: str,
-    settings: SeverityTable | Sequence[Any],
+    settings: SeverityTable | Sequence[object],
     apply: Apply | None = None,
     *,
     in_frame: Apply | None = None,

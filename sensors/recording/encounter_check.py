@@ -310,6 +310,6 @@ class _PointCounter:
         return int(count_points(scan_all(scene, [sensor])[0], np.array([CONFLICT_ID]))[0])
 
 
-def _with(scenario: Scenario, **changes: Any) -> Scenario:
+def _with(scenario: Scenario, **changes: object) -> Scenario:
     assert scenario.conflict is not None
     return msgspec.structs.replace(scenario, conflict=msgspec.structs.replace(scenario.conflict, **changes))

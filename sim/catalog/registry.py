@@ -81,7 +81,7 @@ class Registry(Mapping[str, T], Generic[T]):
 def instance_of(wanted: type[T]) -> Callable[[Any], T]:
     """Return a function that gives back an instance of a class; TypeError for anything else."""
 
-    def checked(value: Any) -> T:
+    def checked(value: object) -> T:
         if not isinstance(value, wanted):
             raise TypeError(f"expected a {wanted.__name__}, found {type(value).__name__}")
         return value
@@ -89,6 +89,6 @@ def instance_of(wanted: type[T]) -> Callable[[Any], T]:
     return checked
 
 
-def import_path(thing: Any) -> str:
+def import_path(thing: object) -> str:
     """Return module and name of a class or function, which stay when a module or notebook cell runs again."""
     return f"{getattr(thing, '__module__', '')}.{getattr(thing, '__qualname__', repr(thing))}"

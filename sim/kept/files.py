@@ -6,7 +6,6 @@ other packages. It is there completely or not at all; one that is damaged is mad
 
 import hashlib
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -17,7 +16,7 @@ from sim.roads.networks import names_network, resolve_network, resolve_polygons
 from sim.scenario import Scenario
 
 
-def kept_file(kind: str, ending: str, module: str, scenario: Scenario, seed: int, *more: Any) -> Path:
+def kept_file(kind: str, ending: str, module: str, scenario: Scenario, seed: int, *more: object) -> Path:
     """Return the path of what a module computes for a scenario and a seed.
 
     Args:

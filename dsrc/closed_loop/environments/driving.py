@@ -78,8 +78,8 @@ class DrivingEnv(AbstractEnv):
         self,
         config: dict | None = None,
         render_mode: str | None = None,
-        action: dict[str, Any] | None = None,
-        **settings: Any,
+        action: dict[str, object] | None = None,
+        **settings: object,
     ) -> None:
         self._loop: ClosedLoop | None = None
         self._origin: Origin | None = None
@@ -263,7 +263,7 @@ class DrivingEnv(AbstractEnv):
             other.color = TRACK
             self.road.vehicles.append(other)
 
-    def _rewards(self, action: Any) -> dict[str, float]:
+    def _rewards(self, action: object) -> dict[str, float]:
         ticks = self.loop.ticks[self._since :]
         duration = self.config["duration"]
         seconds = self.loop.scenario.step_s * max(len(ticks) - 1, 1)
@@ -278,7 +278,7 @@ class DrivingEnv(AbstractEnv):
             "comfort_reward": float(np.clip(hardest / _COMFORT_MPS2 - 1.0, 0.0, 1.0)) * seconds / duration,
         }
 
-    def _reward(self, action: Any) -> float:
+    def _reward(self, action: object) -> float:
         reward = sum(self.config[name] * value for name, value in self._rewards(action).items())
         actions = 1.0 if self.config["normalize_reward"] else self.config["duration"] * self.config["policy_frequency"]
         return float(reward * actions)
@@ -289,7 +289,7 @@ class DrivingEnv(AbstractEnv):
     def _is_truncated(self) -> bool:
         return self.loop.outcome in _OVER
 
-    def _info(self, obs: Any, action: Any = None) -> dict:
+    def _info(self, obs: object, action: object = None) -> dict:
         tick, outcome = self.loop.tick, self.loop.outcome
         return {
             "time_s": tick.actors.time_s - self.loop.start_s,

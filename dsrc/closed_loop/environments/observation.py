@@ -4,7 +4,6 @@ highway-env builds a pandas table of every vehicle in every step, most of the ti
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from highway_env.envs.common.observation import KinematicObservation
@@ -27,7 +26,7 @@ class Kinematics(KinematicObservation):
         settings: of highway-env's observation.
     """
 
-    def __init__(self, env: Any, origin: Origin | None = None, **settings: Any) -> None:
+    def __init__(self, env: object, origin: Origin | None = None, **settings: object) -> None:
         super().__init__(env, **settings)
         self.origin = origin or Origin()
 

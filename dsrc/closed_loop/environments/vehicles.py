@@ -37,7 +37,7 @@ class TrackedVehicle(Vehicle):
         return self._lane_index
 
     @lane_index.setter
-    def lane_index(self, index: Any) -> None:
+    def lane_index(self, index: object) -> None:
         self._lane_index = index
 
     @property
@@ -47,5 +47,5 @@ class TrackedVehicle(Vehicle):
         return None if index is None else self.road.network.get_lane(index)
 
     @lane.setter
-    def lane(self, lane: Any) -> None:
+    def lane(self, lane: object) -> None:
         """Ignore a lane: the index says which one it is."""

@@ -115,7 +115,7 @@ def array_of(table: NDArray[np.void], dtype: np.dtype) -> NDArray[np.generic]:
 def corrupt_sweep(
     sweep: Sweep,
     kind: str,
-    settings: Any,
+    settings: object,
     seed: int,
     *,
     family: Family,

@@ -94,7 +94,7 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
         return done
 
     def _corrupted(
-        self, points: Any, boxes: NDArray[np.float64] | None, index: Any, rng: np.random.Generator | None
+        self, points: object, boxes: NDArray[np.float64] | None, index: object, rng: np.random.Generator | None
     ) -> tuple[Any, NDArray[np.int64] | None]:
         """Return the corrupted points and the row that each was, -1 for added ones; None where nothing changes."""
         rows = _array(points)
@@ -112,13 +112,13 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
         return _like(points, array_of(cloud.of(sweep), rows.dtype)), rows_of(sweep)
 
 
-def _array(values: Any) -> NDArray[Any]:
+def _array(values: object) -> NDArray[Any]:
     """Return an array of an array, a tensor, or an object that holds a tensor."""
     values = getattr(values, "tensor", values)
     return np.asarray(values.detach().cpu() if hasattr(values, "detach") else values)
 
 
-def _like(old: Any, new: NDArray[Any]) -> Any:
+def _like(old: object, new: NDArray) -> Any:
     """Return new values in the form of the old ones: array, tensor or holder of a tensor."""
     if hasattr(old, "tensor"):
         holder = copy.copy(old)

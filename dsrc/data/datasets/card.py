@@ -213,7 +213,7 @@ def _agents(frame: Frame) -> dict[str, dict[str, str]]:
     }
 
 
-def _sum(counts: Sequence[NDArray[Any]], bins: int) -> list[int]:
+def _sum(counts: Sequence[NDArray], bins: int) -> list[int]:
     return [int(n) for n in np.sum(counts, axis=0)] if counts else [0] * bins
 
 
@@ -323,7 +323,7 @@ def _terms(card: Card) -> list[str]:
     return ["Works of others that the drives are derived from, to be named with them:", "", *lines, ""]
 
 
-def _spread(points: NDArray[Any]) -> str:
+def _spread(points: NDArray) -> str:
     if not len(points):
         return "none"
     low, middle, high = np.percentile(points, [5, 50, 95]).round().astype(int)

@@ -64,7 +64,7 @@ def run_settings(options: CorruptOptions) -> tuple[Family, Any]:
     return family, changed_settings(settings, options.set)
 
 
-def changed_settings(settings: Any, changes: Sequence[str]) -> Any:
+def changed_settings(settings: object, changes: Sequence[str]) -> Any:
     """Return settings of a corruption with values changed by `field=value`.
 
     Raises:

@@ -47,11 +47,11 @@ _TIME: dict[str, Any] = {
 }
 
 
-def _object(**properties: Any) -> dict[str, Any]:
+def _object(**properties: object) -> dict[str, Any]:
     return {"type": "object", "properties": properties}
 
 
-def _list(items: dict[str, Any]) -> dict[str, Any]:
+def _list(items: dict[str, object]) -> dict[str, Any]:
     return {"type": "array", "items": items}
 
 
@@ -144,7 +144,7 @@ class McapFile:
             self._file.close()
             self._replacing.__exit__(None, None, None)
 
-    def _message(self, topic: str, schema: str, time_s: float, message: dict[str, Any]) -> None:
+    def _message(self, topic: str, schema: str, time_s: float, message: dict[str, object]) -> None:
         if topic not in self._channels:
             self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[schema])
         nanoseconds = round(time_s * 1e9)

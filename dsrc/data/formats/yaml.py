@@ -225,7 +225,7 @@ def _entries(loader: Any, node: Any, *names: str) -> list[Any]:
     return [loader.construct_sequence(node, deep=True), None]
 
 
-def _number_type(loader: Any, node: Any) -> np.dtype:
+def _number_type(loader: object, node: object) -> np.dtype:
     """Return numpy.dtype(code, ...), its byte order in the state."""
     args, state = _entries(loader, node, "args", "state")
     code = args[0] if isinstance(args, list) and args else None
@@ -243,7 +243,7 @@ def _scalar(loader: Any, node: Any) -> Plain:
     return _unpacked(node, parts[0], parts[1], ())
 
 
-def _array(loader: Any, node: Any) -> Plain:
+def _array(loader: object, node: object) -> Plain:
     """Return numpy's _reconstruct(...) as lists; its state is (version, shape, dtype, Fortran order, bytes)."""
     _, state = _entries(loader, node, "args", "state")
     if not isinstance(state, list) or len(state) != 5:
@@ -259,7 +259,7 @@ def _array(loader: Any, node: Any) -> Plain:
     return np.array(value).T.tolist() if fortran else value
 
 
-def _unpacked(node: Any, dtype: object, data: object, shape: tuple[int, ...]) -> Plain:
+def _unpacked(node: object, dtype: object, data: object, shape: tuple[int, ...]) -> Plain:
     if not isinstance(dtype, np.dtype) or not isinstance(data, bytes):
         raise _refused(node, "numbers of numpy")
     if math.prod(max(n, 1) for n in shape) > MOST_VALUES or len(data) != dtype.itemsize * math.prod(shape):

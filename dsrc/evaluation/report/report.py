@@ -62,9 +62,9 @@ def write_report(result: BenchmarkResult, out: Path) -> list[Section]:
 
 def write_results(
     out: Path,
-    made_by: Mapping[str, Any],
+    made_by: Mapping[str, object],
     entries: Sequence[tuple[CaseResult, TrainedDetector]],
-    differences: Sequence[Mapping[str, Any]] = (),
+    differences: Sequence[Mapping[str, object]] = (),
 ) -> None:
     """Write `results.json`, `results.csv` and `timings.csv`; a warning names former results that they replace.
 
@@ -195,7 +195,7 @@ def _dataset(
     dataset: str,
     tables: Mapping[Family, DifferenceTable],
     folder: Path,
-    made_by: Mapping[str, Any],
+    made_by: Mapping[str, object],
 ) -> list[Section]:
     """Write tables and plots of a dataset; return their sections.
 

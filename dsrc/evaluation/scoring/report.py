@@ -57,7 +57,7 @@ def score_table(
     return Table("scores", title, head, tuple(columns), tuple(rows), note)
 
 
-def write_scores(out: Path, scores: Sequence[Score], made_by: Mapping[str, Any]) -> None:
+def write_scores(out: Path, scores: Sequence[Score], made_by: Mapping[str, object]) -> None:
     """Write `scores.json`, `scores.csv`, `scores.md` and `scores.png` into a folder.
 
     Args:

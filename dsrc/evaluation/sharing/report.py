@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -133,7 +133,7 @@ def _per_unit(rows: Sequence[ShareRow], condition: str, agent: str, side: int, f
 
 
 def write_shares(
-    out: Path, rows: Sequence[ShareRow], frames: int, made_by: Mapping[str, Any], drives: Sequence[StoredDrive] = ()
+    out: Path, rows: Sequence[ShareRow], frames: int, made_by: Mapping[str, object], drives: Sequence[StoredDrive] = ()
 ) -> None:
     """Write `shares.csv`, a line per agent and box, `shares.json` by frame and box, and `shares.png`.
 

@@ -1,7 +1,5 @@
 """Fusion methods: feature maps of several agents to one; one file per method, each a `Fusion`."""
 
-from typing import Any
-
 from dsrc.models.fusion.attention import AttentionFusion
 from dsrc.models.fusion.base import AgentLayout, Fusion
 from dsrc.models.fusion.coalign import CoAlign
@@ -22,7 +20,7 @@ from sim.errors import SettingsError
 __all__ = ["FUSIONS", "AgentLayout", "Fusion", "register_fusion"]
 
 
-def _fusion(value: Any) -> type[Fusion]:
+def _fusion(value: object) -> type[Fusion]:
     if not (isinstance(value, type) and issubclass(value, Fusion)):
         raise TypeError(f"expected a subclass of dsrc.models.fusion.Fusion, found {value!r}")
     return value

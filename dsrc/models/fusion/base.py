@@ -93,7 +93,7 @@ class Fusion(nn.Module):
         """Return the channels of all maps that an agent sends."""
         return settings.shrink_channels if cls.place == "map" else sum(settings.stage_channels[: cls.scales_sent])
 
-    def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
+    def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: object = None) -> list[Tensor]:
         """Return the transmitted part of the agents' maps, zeros elsewhere; arguments as of `forward`."""
         return list(maps)
 
@@ -101,7 +101,7 @@ class Fusion(nn.Module):
         """Fuse one scale's (N, C, H, W) maps into (B, C, H, W)."""
         raise NotImplementedError
 
-    def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
+    def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: object = None) -> list[Tensor]:
         """Fuse transmitted maps.
 
         Args:

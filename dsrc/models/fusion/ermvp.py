@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -101,7 +101,7 @@ class ERMVP(Fusion):
         sampled = int(settings.grid.width * settings.grid.height // settings.map_stride**2 * 0.2)
         return math.ceil(sampled * 0.2) * settings.shrink_channels + 2 * sampled
 
-    def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
+    def send(self, maps: Sequence[Tensor], layout: AgentLayout, network: object = None) -> list[Tensor]:
         """Return the egos' maps unchanged and the collaborators' sampled cells, merged."""
         if self.released:
             return list(maps)

@@ -1,7 +1,7 @@
 """MRCNet-style fusion across scales, by maximum and mean over the agents."""
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -66,7 +66,7 @@ class MRCNetStyle(Fusion):
         """Make the fusion of a detector with these settings."""
         return cls(settings.stage_channels, max(settings.decoder_widths))
 
-    def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: Any = None) -> list[Tensor]:
+    def forward(self, maps: Sequence[Tensor], layout: AgentLayout, network: object = None) -> list[Tensor]:
         """Fuse the scales."""
         alike = [layout.split(layer(scale)) for layer, scale in zip(self.project, maps, strict=True)]
         joined = [

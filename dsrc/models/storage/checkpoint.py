@@ -23,7 +23,7 @@ JOINED = "dsrc-detectors-1"
 _MOST_BLOCKS = 1000
 
 
-def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None = None, half: bool = True) -> None:
+def save_detector(path: Path, detector: Detector, meta: Mapping[str, object] | None = None, half: bool = True) -> None:
     """Write a detector file atomically.
 
     Args:
@@ -37,7 +37,7 @@ def save_detector(path: Path, detector: Detector, meta: Mapping[str, Any] | None
     _save(path, content)
 
 
-def _save(path: Path, content: Mapping[str, Any]) -> None:
+def _save(path: Path, content: Mapping[str, object]) -> None:
     # By way of an open file: PyTorch keeps the name of a path in the archive.
     with replacing(path) as temporary, temporary.open("wb") as file:
         torch.save(content, file)
@@ -64,7 +64,7 @@ def load_detector(path: Path, device: str = "cpu") -> Detector:
     return _detector(path, _content(Path(path))).to(device)
 
 
-def _detector(path: Path, content: Mapping[str, Any]) -> Detector:
+def _detector(path: Path, content: Mapping[str, object]) -> Detector:
     state = content.get("state")
     try:
         settings = msgspec.convert(content["settings"], ModelSettings)
@@ -122,7 +122,7 @@ def load_joined(path: Path, device: str = "cpu", engine: str = "fused", fusion: 
     return students[0] if len(students) == 1 else JoinedDetectors(students)
 
 
-def _student(path: Path, content: Mapping[str, Any], device: str, engine: str, fusion: str = "") -> Detector:
+def _student(path: Path, content: Mapping[str, object], device: str, engine: str, fusion: str = "") -> Detector:
     if engine not in ENGINES:
         raise SettingsError(f"engine: unknown '{engine}'{did_you_mean(engine, ENGINES)}")
     detector = _detector(path, content).to(device)
@@ -178,7 +178,7 @@ def _content(path: Path, formats: Sequence[str] = (FORMAT,)) -> dict[str, Any]:
     return _checked(path, read_tensors(path, f"a {FORMAT} checkpoint"), formats)
 
 
-def _checked(path: Path, content: Any, formats: Sequence[str] = (FORMAT,)) -> dict[str, Any]:
+def _checked(path: Path, content: object, formats: Sequence[str] = (FORMAT,)) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") not in formats:
         found = content.get("format", "none") if isinstance(content, dict) else type(content).__name__
         hint = "; the deployable file of a training is its detector.pt; dsrc model import makes one of others' files"

@@ -99,7 +99,7 @@ def _parameter(
     return Parameter(name, value, choices=choices) if value in choices else None
 
 
-def _choices(kind: Any) -> tuple[Value, ...]:
+def _choices(kind: object) -> tuple[Value, ...]:
     """Values of a literal type, also of an optional one; none for other types."""
     if typing.get_origin(kind) in (typing.Union, types.UnionType):
         return tuple(value for part in typing.get_args(kind) for value in _choices(part))

@@ -74,7 +74,7 @@ class Control:
     enabled: Callable[[Shown], bool] = lambda _: True
 
 
-def _same(*values: Any) -> Callable[[Shown], dict[str, Any]]:
+def _same(*values: object) -> Callable[[Shown], dict[str, Any]]:
     return lambda _: {str(value): value for value in values}
 
 
@@ -252,7 +252,7 @@ def value_of(control: Control, shown: Shown) -> Any:
     return value
 
 
-def change_of(control: Control, shown: Shown, value: Any) -> dict[str, Any]:
+def change_of(control: Control, shown: Shown, value: object) -> dict[str, Any]:
     """Changes of the state that a value of a control means."""
     if isinstance(control.widget, Switch) and control.widget.item is not None:
         off, item = getattr(shown.state, control.field), control.widget.item

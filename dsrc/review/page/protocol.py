@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import viser
@@ -64,7 +64,7 @@ class Page(Protocol):
     last_corruption: str
     last_parameters: Changes
 
-    def update(self, **changes: Any) -> None:
+    def update(self, **changes: object) -> None:
         """Replace fields of the state and draw it."""
 
     @property

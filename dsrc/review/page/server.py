@@ -104,7 +104,7 @@ def _own_requests(host: str) -> Iterator[None]:
 def _answer(process: Process, host: str) -> Process:
     """Answer of the server: nothing for other origins, and the page with our script in its head."""
 
-    def answer(connection: Any, request: Request) -> Response | None:
+    def answer(connection: object, request: Request) -> Response | None:
         if not same_origin(request.headers, host):
             return Response(http.HTTPStatus.FORBIDDEN, "FORBIDDEN", Headers(), b"this page is for its own origin alone")
         if request.path.partition("?")[0] == PATH:

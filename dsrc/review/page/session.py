@@ -133,7 +133,7 @@ class Session:
             self.gui.main_panel.minimize()
 
     def _trigger(self, command: Command) -> Callable[[Any], None]:
-        def run(_: Any) -> None:
+        def run(_: object) -> None:
             try:
                 command.run(self)
             except Exception as error:
@@ -141,7 +141,7 @@ class Session:
 
         return run
 
-    def update(self, **changes: Any) -> None:
+    def update(self, **changes: object) -> None:
         """Replace fields of the state and draw it, if any of them changed."""
         with self._changed:
             state = with_changes(self.state, self.model.methods, **changes)
@@ -442,7 +442,7 @@ class Session:
             address = compare_address(*(write_link(self.model, one, pose) for one in (left, right)))
         self.client.local_storage.set_item(OPEN_KEY, address)
 
-    def _camera_moved(self, _: Any) -> None:
+    def _camera_moved(self, _: object) -> None:
         with self._changed:
             self.address.fall_behind()
             self._changed.notify_all()

@@ -32,7 +32,7 @@ class LiveSource:
     kind: Kind = "live"
 
     def __init__(
-        self, name: str, kept: int = KEPT, protocol: Mapping[str, Any] | None = None, seed: int = SEED
+        self, name: str, kept: int = KEPT, protocol: Mapping[str, object] | None = None, seed: int = SEED
     ) -> None:
         if kept < 1:
             raise ValueError(f"kept must be at least 1, got {kept}")

@@ -6,8 +6,6 @@ down for bends, give way where paths cross or merge (`sim.traffic.highway.percep
 within limits of lateral acceleration.
 """
 
-from typing import Any
-
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
@@ -54,7 +52,7 @@ class Driver(IDMVehicle):
 
     def __init__(
         self,
-        road: Any,
+        road: object,
         roads: LaneNetwork,
         lane_number: int,
         along: float,

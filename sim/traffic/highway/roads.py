@@ -278,7 +278,7 @@ def _priority(first: str, lane: Any) -> int:
     return int(not lane.forbidden) if first == "through" else int(lane.priority)
 
 
-def _after(number: int, found: Sequence[tuple[LaneIndex, Any]], ends: Sequence[tuple]) -> tuple[int, ...]:
+def _after(number: int, found: Sequence[tuple[LaneIndex, object]], ends: Sequence[tuple]) -> tuple[int, ...]:
     """Return the successors of a lane: the nearest of each road that begins at its end."""
     (_, node, _), (_, end, _, heading) = found[number][0], ends[number]
     nearest: dict[str, tuple[float, int]] = {}

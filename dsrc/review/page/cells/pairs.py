@@ -28,7 +28,7 @@ class Cell(Protocol):
 
     state: ReviewState
 
-    def update(self, **changes: Any) -> None:
+    def update(self, **changes: object) -> None:
         """Replace fields of the state and draw it."""
 
     def look(self, pose: CameraPose) -> None:

@@ -42,7 +42,7 @@ class _BoundParameter:
             )
         self.handle.on_update(self._take)
 
-    def show(self, parameter: Parameter, value: Any) -> None:
+    def show(self, parameter: Parameter, value: object) -> None:
         """Set the widget to a value."""
         wanted = value if isinstance(value, bool) else str(value) if parameter.choices else _inside(parameter, value)
         if self.handle.value != wanted:
@@ -146,7 +146,7 @@ class CorruptionLabPanel:
         table = "\n".join(rows)
         _set(self.scores, content=f"| % | {head} | frames |\n|:--|{'--:|' * (len(IOU_THRESHOLDS) + 1)}\n{table}")
 
-    def _detect(self, _: Any) -> None:
+    def _detect(self, _: object) -> None:
         if self._page.detecting():
             self._page.cancel()
             return
@@ -154,11 +154,11 @@ class CorruptionLabPanel:
         self._page.update(versus="")
         self._page.detect_all()
 
-    def _turn_fates(self, _: Any) -> None:
+    def _turn_fates(self, _: object) -> None:
         self._page.update(color_by="agent" if self._page.state.color_by == "fate" else "fate")
 
 
-def _set(handle: Any, **values: Any) -> None:
+def _set(handle: object, **values: object) -> None:
     """Set the fields of a widget that differ."""
     for name, value in values.items():
         if getattr(handle, name) != value:

@@ -183,7 +183,7 @@ class ErrorsPanel:
             self.pages.visible = several
         self.csv.disabled = len(errors) == 0
 
-    def _open(self, number: int, _: Any = None) -> None:
+    def _open(self, number: int, _: object = None) -> None:
         report = self._report
         if report is None or self._first + number >= len(report.errors):
             return
