@@ -80,11 +80,6 @@ def arrived(result: Result) -> float:
     return float(result.outcome == Outcome.ARRIVED.value)
 
 
-def lost_score(result: Result) -> float:
-    """Return what lacks to a full driving score (2.1)."""
-    return 1.0 - metric(result, "driving_score_2_1")
-
-
 def counted(results: Sequence[Result], failed: bool = False) -> list[Result]:
     """Return the results whose crash, or lack of one, counts.
 
@@ -209,14 +204,3 @@ def avoidable(results: Sequence[Result], careful: Sequence[Result]) -> list[floa
     known = {(one.scenario, one.seed): collided(one) for one in counted(careful)}
     crashes = [(one.scenario, one.seed) for one in counted(results) if collided(one)]
     return [1.0 - known[key] for key in crashes if key in known]
-
-
-def sight_lead_s(team: Result, alone: Result) -> float:
-    """Return how much earlier the team saw the conflict actor than the ego alone, s.
-
-    inf if only the team saw it, -inf if only the ego did, NaN if neither did.
-    """
-    together, single = metric(team, "seen_s"), metric(alone, "seen_s")
-    if math.isnan(together) and math.isnan(single):
-        return math.nan
-    return (math.inf if math.isnan(single) else single) - (math.inf if math.isnan(together) else together)

@@ -88,23 +88,6 @@ def mean(values: Sequence[float], level: float = LEVEL, seed: int = 0) -> Estima
     return Estimate(middle, float(interval.low), float(interval.high))
 
 
-def paired_difference(first: Sequence[float], second: Sequence[float], level: float = LEVEL, seed: int = 0) -> Estimate:
-    """Return the mean of first minus second with its paired bootstrap interval: episodes are resampled as pairs.
-
-    Source: B. Efron and R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapters 8 and 14.
-
-    Args:
-        first: one value per episode.
-        second: of the same episodes.
-        level: share of samples whose interval holds the true value.
-        seed: of the resamples.
-
-    Raises:
-        ValueError: the lengths differ.
-    """
-    return mean([a - b for a, b in zip(first, second, strict=True)], level, seed)
-
-
 def paired_rates(
     first: Sequence[float],
     second: Sequence[float],

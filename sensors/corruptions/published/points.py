@@ -106,7 +106,7 @@ def motion_blur(sweep: Sweep, settings: PaperMotionBlur, rng: RandomSource) -> S
 
 def crosstalk(sweep: Sweep, settings: PaperCrosstalk, rng: RandomSource) -> Sweep:
     """Replace a share of the points by noise around them, on no object."""
-    touched, shake = _crosstalk_noise((len(sweep), 4), settings, rng)
+    touched, shake = crosstalk_noise((len(sweep), 4), settings, rng)
     return with_rows(sweep, touched, cloud_of(sweep[touched]) + shake)
 
 
@@ -120,17 +120,7 @@ def apply_motion_blur(cloud: Cloud, settings: PaperMotionBlur, rng: RandomSource
     return _plus(cloud, frame + np.clip(own, -_JITTER_CLIP * s, _JITTER_CLIP * s))
 
 
-def apply_crosstalk(
-    cloud: Cloud, settings: PaperCrosstalk, rng: RandomSource
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the cloud with crosstalk, and (K,) the displaced rows in the order of drawing."""
-    touched, shake = _crosstalk_noise(cloud.shape, settings, rng)
-    out = cloud.astype(np.float64)
-    out[touched] += shake
-    return out, touched
-
-
-def _crosstalk_noise(
+def crosstalk_noise(
     shape: tuple[int, ...], settings: PaperCrosstalk, rng: RandomSource
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return (K,) displaced rows of a cloud of a shape, and (K, columns) their displacement."""

@@ -12,10 +12,8 @@ from dsrc.closed_loop.metrics.comparison import (
     counted,
     gain_per_megabyte,
     harm_rate,
-    lost_score,
     mean_corruption_error,
     pairs,
-    sight_lead_s,
 )
 
 
@@ -44,7 +42,6 @@ def test_the_corruption_error_sums_over_severities_before_it_divides() -> None:
     base = [result(k, seed, "fog", 1) for seed, k in enumerate((1.0, 0.0, 0.0, 0.0))]
     base += [result(k, seed, "fog", 3) for seed, k in enumerate((1.0, 1.0, 1.0, 0.0))]
     assert corruption_errors(ours, base) == {"fog": pytest.approx(1.5)}
-    assert corruption_errors(ours, base, lost_score) == {"fog": pytest.approx(1.5)}
 
 
 def test_an_error_without_a_like_reference_is_unknown_and_so_is_the_mean() -> None:
@@ -93,14 +90,6 @@ def test_the_gain_per_megabyte_is_what_was_saved_over_what_was_received() -> Non
     alone = [result(k, seed) for seed, k in enumerate((1.0, 1.0, 0.0))]
     assert gain_per_megabyte(together, alone, collided) == pytest.approx(0.5)
     assert math.isnan(gain_per_megabyte(alone, alone))
-
-
-@pytest.mark.parametrize(
-    ("team", "ego", "lead"), [(1.0, 2.5, 1.5), (1.0, None, math.inf), (None, 1.0, -math.inf), (None, None, math.nan)]
-)
-def test_the_lead_of_the_team(team: float | None, ego: float | None, lead: float) -> None:
-    found = sight_lead_s(One(metrics={"seen_s": team}), One(metrics={"seen_s": ego}))
-    assert found == lead or (math.isnan(found) and math.isnan(lead))
 
 
 def test_a_crash_is_avoidable_if_the_careful_driver_avoids_it() -> None:

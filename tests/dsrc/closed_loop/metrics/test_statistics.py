@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dsrc.closed_loop.metrics.statistics import mean, paired_difference, paired_rates, rate
+from dsrc.closed_loop.metrics.statistics import mean, paired_rates, rate
 
 
 def test_wilson_interval_of_published_examples() -> None:
@@ -33,16 +33,6 @@ def test_the_bootstrap_of_a_mean_is_that_of_the_normal_distribution_for_many_val
 def test_unknown_values_are_left_out_and_equal_ones_have_no_width() -> None:
     assert mean([1.0, math.nan, 1.0, math.inf]) == (1.0, 1.0, 1.0)
     assert math.isnan(mean([3.0]).low) and mean([3.0]).value == 3.0
-
-
-def test_pairs_resolve_what_independent_samples_do_not() -> None:
-    rng = np.random.default_rng(1)
-    hard = rng.normal(0.0, 10.0, 30)
-    first, second = hard + 1.0 + rng.normal(0.0, 0.5, 30), hard
-    assert paired_difference(first.tolist(), second.tolist()).excludes_zero
-    assert mean(first.tolist()).low < mean(second.tolist()).value
-    with pytest.raises(ValueError):
-        paired_difference([1.0], [1.0, 2.0])
 
 
 def test_paired_rates_by_hand() -> None:
