@@ -47,7 +47,6 @@ def run_demo(out: Path, quick: bool = False) -> None:
 
     Args:
         out: folder of all files; finished parts are kept.
-        quick: a few frames only.
 
     Raises:
         UserError: a part failed.
@@ -114,11 +113,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
 
 
 def lesson(outcomes: Mapping[str, str]) -> str:
-    """Return what the drives of an encounter show, in one line.
-
-    Args:
-        outcomes: by perception.
-    """
+    """Return what the drives of an encounter show, in one line."""
     from dsrc.closed_loop.types import Outcome
 
     alone, together = outcomes[ALONE], outcomes[TOGETHER]

@@ -32,7 +32,6 @@ def lost_encounter(ticks: Sequence[Tick], ego_id: int, conflict_id: int, gap_s: 
     something else.
 
     Args:
-        ticks: of the episode.
         ego_id: object id of the ego.
         conflict_id: object id of the conflict actor.
         gap_s: see `DrivableTraffic.encounter_gap_s`.

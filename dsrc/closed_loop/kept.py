@@ -36,7 +36,6 @@ def world_scene(scenario: Scenario, seed: int) -> RayScene:
 
     Args:
         scenario: of the world, with its proven encounter.
-        seed: of its generated parts.
 
     Raises:
         ScenarioError: see `sim.world.build.build_world`.

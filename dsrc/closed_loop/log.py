@@ -75,10 +75,7 @@ class EpisodeLog:
         actors: ground truth as a traffic log: one step before the first tick, then tick by tick.
 
     Args:
-        settings: what decided the episode.
         before: actors one step before the first tick, the `before` of its perception.
-        ticks: everything of its steps.
-        outcome: how it ended.
         message: explanation of a failed perception.
 
     Raises:

@@ -84,7 +84,6 @@ def tick_columns(ticks: Sequence[Tick], claims: Sequence[str], step_s: float) ->
     """Return the arrays of steps by name, without their actors.
 
     Args:
-        ticks: rounded steps.
         claims: names of the helpers that report false objects.
         step_s: time between two steps, s.
     """

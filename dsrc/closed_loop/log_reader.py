@@ -117,7 +117,6 @@ def read_ticks(reader: ColumnReader, actors: TrafficLog, claims: Sequence[str]) 
     """Return the steps of a file.
 
     Args:
-        reader: of its columns.
         actors: one step before the first tick, then tick by tick.
         claims: names of the helpers that report false objects.
 

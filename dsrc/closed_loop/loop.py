@@ -76,7 +76,6 @@ class PerceptionClock:
         failure: why the perception failed, "" as long as it works.
 
     Args:
-        perception: perceives.
         settings: interval, latency and limit of time.
         step_s: traffic step, s.
 
@@ -114,8 +113,6 @@ class PerceptionClock:
         None without one, and after a failure.
 
         Args:
-            before: actors one step ago.
-            now: actors now.
             claims: false objects that helpers report.
 
         Raises:
@@ -152,7 +149,6 @@ class ClosedLoop:
 
     Args:
         scenario: name, path or struct.
-        perception: what the ego perceives.
         driver: decides where `advance` is not given an acceleration; default: `PlanningDriver`.
         settings: intervals and limits of time.
     """
@@ -283,7 +279,6 @@ class ClosedLoop:
         """Drive a whole episode by the driver's decisions and return its outcome.
 
         Args:
-            seed: of the episode.
             watch: called with the loop after every step.
         """
         self.start(seed)

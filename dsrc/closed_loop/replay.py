@@ -20,8 +20,6 @@ def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | 
     """Return the log of an episode with the percepts, tracks and decisions of another perception.
 
     Args:
-        log: of an episode.
-        perception: looks at its traffic.
         name: of the perception, for the log.
         driver: decides by its tracks; default: `PlanningDriver`.
     """

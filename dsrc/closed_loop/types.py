@@ -162,7 +162,6 @@ class Perception(Protocol):
 
         Args:
             before: actors one traffic step ago.
-            now: actors now.
             claims: false objects that helpers report now, by the name of the helper.
         """
         ...

@@ -79,7 +79,6 @@ def load_adjusted(path: Path, use: Mapping[str, bool | int | float | str], engin
     """Load a detector file, with some of its settings changed.
 
     Args:
-        path: the file.
         use: changes, see `MethodSpec`.
         engine: one of `dsrc.models.storage.deploy.ENGINES`.
 

@@ -42,7 +42,6 @@ def corruption_kinds(names: Sequence[str], family: Family = "physical", where: s
 
     Args:
         names: kinds, `paper_six` for those of the paper's tables, `all` for all of the family, `clean` for none.
-        family: of their settings.
         where: begins the messages of errors.
 
     Raises:

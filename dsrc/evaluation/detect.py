@@ -80,10 +80,7 @@ def evaluate_drive(
     the range in which the detector is judged are left out, as such true boxes are.
 
     Args:
-        reader: of the drive.
-        positions: of the frames.
         work: methods of each condition, of different names.
-        seed: of corruptions and channels.
         count_frame: called when a frame is done under a condition.
 
     Returns:
@@ -178,8 +175,6 @@ class FrameHistory(Sequence[Frame]):
 
     Args:
         read: function from a position in the drive to its frame.
-        position: of the latest frame.
-        transform: applied to each frame.
     """
 
     def __init__(

@@ -127,8 +127,6 @@ def one_frame(
 
     Args:
         position: of the frame in its drive.
-        index: number of the frame.
-        ego_id: agent that detects.
         detections: in the ego LiDAR's frame, in any order.
         truth: N true boxes in the same frame.
         points: (N, 4) see `DetectionTable`; None for unknown.
@@ -168,7 +166,6 @@ def read_table(path: Path, arrays: Mapping[str, NDArray], hint: str = "") -> Det
     Args:
         path: file of the columns, for messages.
         arrays: by name, see `DetectionTable.arrays`.
-        hint: end of the messages.
 
     Raises:
         DataError: a column is missing, or has a wrong kind, shape or value; names file and column.
@@ -232,7 +229,6 @@ def points_left(clean: Frame, corrupted: Frame) -> NDArray[np.int32]:
     annotation says that a ray hit, as in `Frame.points_on`, and a point is left.
 
     Args:
-        clean: frame as recorded.
         corrupted: the same with other sweeps.
     """
     left = clean.points_on.copy()
@@ -254,7 +250,6 @@ def points_table(
     """(N, 4) points on objects: the ego's, all agents', and both after the corruption.
 
     Args:
-        clean: frame as recorded.
         left: see `points_left`.
         agent_ids: agents that take part, the ego first.
         object_ids: (N,) objects of the frame.

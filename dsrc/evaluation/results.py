@@ -60,10 +60,8 @@ def make_row(
     """Row of a result.
 
     Args:
-        method: name.
         condition: `clean` or a corruption.
         severity: 0 for clean.
-        result: of all its frames.
         seconds: (F,) time of the detection in each frame.
         traffic: (F, 4) of each frame: bytes sent, collaborators, collaborators with a message used, sum of the ages of
             these messages, s; None without a channel.

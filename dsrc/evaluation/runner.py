@@ -127,9 +127,7 @@ def run_plan(
 
     Args:
         plan: a valid benchmark, see `dsrc.evaluation.config.check`.
-        out: folder of the benchmark.
         pool: workers, of one thread each; the cells are the same for any.
-        device: of the networks.
         progress: called with detections done and detections missing at the start.
         engine: execution of the networks, one of `dsrc.models.storage.deploy.ENGINES`.
         reuse: folders of earlier results: cells whose settings agree in all but code and versions are taken from them.

@@ -129,10 +129,6 @@ def read_index(folder: Path) -> StoredIndex:
 def read_run(folder: Path, keys: Iterable[str]) -> DetectionTable:
     """Read the detections of cells, in their order.
 
-    Args:
-        folder: of the results.
-        keys: of the cells.
-
     Raises:
         DataError: a cell is missing or damaged; names file and column.
     """

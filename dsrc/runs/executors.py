@@ -99,7 +99,6 @@ class ProcessExecutor:
     """Spawned processes of this machine, which end with this one however it ends.
 
     Args:
-        workers: number of processes.
         retries: see `RETRIES`.
     """
 

@@ -23,7 +23,6 @@ def results_of(
         workers: pool that is opened for these jobs, or workers of an open one.
         progress: called with steps done and steps in all, at the start and whenever a job gets on.
         steps: of each job; default: 1.
-        done: steps done before.
         total: steps in all; default: `done` and those of these jobs.
     """
     if isinstance(workers, Pool):

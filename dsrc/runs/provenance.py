@@ -29,7 +29,6 @@ def provenance(settings: Mapping[str, object], seed: int, data: Mapping[str, str
 
     Args:
         settings: of the run, JSON types only.
-        seed: the root seed.
         data: hashes of drives by name; None where the settings hold them.
     """
     return {

@@ -84,7 +84,6 @@ class Study(Generic[J, R]):
 
         Args:
             folder: of the results; what a killed process left in it is removed.
-            jobs: by key.
             pool: workers; the results are the same for any.
             progress: called with steps done and steps missing at the start.
             reuse: folders of earlier results, see `reuse`.

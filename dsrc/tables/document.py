@@ -55,12 +55,7 @@ class Section:
 
 
 class SectionWriter:
-    """Writer of tables and figures into a folder; keeps their sections.
-
-    Args:
-        folder: for the files.
-        made_by: provenance, for the figures.
-    """
+    """Writer of tables and figures into a folder; keeps their sections."""
 
     def __init__(self, folder: Path, made_by: Mapping[str, object]) -> None:
         self.sections: list[Section] = []
@@ -71,8 +66,6 @@ class SectionWriter:
 
         Args:
             table: its name begins the names of the files.
-            figure: of the table.
-            suffix: of the name.
             below: Markdown that the section has below the table.
         """
         name, text = f"{table.name}{suffix}", table.markdown()
@@ -123,10 +116,7 @@ def publish(
     document stays. `out` may be that folder.
 
     Args:
-        sections: of the document.
-        out: folder of their files.
         document: Markdown; it is made if there is none.
-        name: of the run.
         results: files of `out` that are no section's and are copied too.
         absent: names of sections that this run has nothing for; their places are emptied.
 
@@ -176,7 +166,6 @@ def check_document(document: Path, name: str, names: Sequence[str]) -> None:
 
     Args:
         document: Markdown, or where it will be.
-        name: of the run.
         names: of the sections that it may have.
 
     Raises:

@@ -124,7 +124,6 @@ def drive_unit(unit: WorkUnit, report: Callable[[int, int], None]) -> None:
     A cell is KEY.npz with the log and then KEY.json with the result: one that exists is complete.
 
     Args:
-        unit: what to drive.
         report: called with episodes done and episodes in all.
     """
     for done, (key, job) in enumerate(unit.episodes, start=1):
@@ -139,7 +138,6 @@ def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = 
     """Return the log of one episode.
 
     Args:
-        job: the episode.
         watch: called with the loop after every step.
 
     Raises:

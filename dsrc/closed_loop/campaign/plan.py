@@ -419,7 +419,6 @@ def detector_hash(kind: str, checkpoint: str) -> str:
 
     Args:
         kind: of a `PerceptionSpec`.
-        checkpoint: of it.
     """
     if kind in WITHOUT_SENSOR:
         return ""

@@ -78,8 +78,6 @@ def drive(
 
     Args:
         options: of `dsrc drive`.
-        out: folder of the campaign.
-        pool: workers.
         progress: called with episodes done and episodes missing at the start.
 
     Raises:
@@ -99,7 +97,6 @@ def run_campaign(
 
     Args:
         plan: a valid campaign, see `dsrc.closed_loop.campaign.plan.check`.
-        out: folder of the campaign.
         pool: workers; the results are the same for any.
         progress: called with episodes done and episodes missing at the start.
         known: results of episodes that are not driven again, by key, see `read_results`; `out` keeps them.
@@ -268,9 +265,6 @@ def estimate_s(
     Controls and the reference driver count. An episode lasts as long as those that are there did, else as its scenario.
 
     Args:
-        plan: a valid campaign.
-        out: folder of the campaign.
-        pool: workers.
         known: results of episodes that are not driven again, by key.
     """
     there = _There.of(out, known)

@@ -45,7 +45,6 @@ class CarefulDriver:
 
     Args:
         settings: default: `CarefulSettings()`.
-        planning: of the plans.
     """
 
     def __init__(self, settings: CarefulSettings | None = None, planning: PlannerSettings | None = None) -> None:

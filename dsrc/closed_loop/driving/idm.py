@@ -44,11 +44,8 @@ def following_acceleration(
     """Return the acceleration behind a leader, m/s2, unbounded below.
 
     Args:
-        speed_mps: of the ego.
-        wanted_mps: on a free road.
         gap_m: bumper to bumper.
         lead_mps: speed of the leader along the ego's path.
-        settings: of the model.
     """
     s = settings
     free = free_acceleration(speed_mps, wanted_mps, s)

@@ -31,7 +31,6 @@ class RouteLanes:
     """One lane: the ego's route, in both directions, kept at their distance from it by those beside it.
 
     Args:
-        path: path of the ego.
         width_m: distance from the route within which road users follow its bends, m.
     """
 

@@ -69,10 +69,7 @@ def occupancy_of(path: Path, size: Array, prediction: Prediction, settings: Clea
     """Return what blocks a path, hypothesis by hypothesis; those that never do are left out.
 
     Args:
-        path: of the ego.
         size: (2,) length and width of the ego, m.
-        prediction: of others.
-        settings: clearances.
     """
     steps, reach = len(prediction.time_s), 0.5 * float(np.hypot(*size))
     hypothesis, instant, station = _close(path, reach, prediction)

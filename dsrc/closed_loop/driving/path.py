@@ -47,7 +47,6 @@ def path_of(route: Array, yaw: float, lateral_mps2: float, length_m: float = mat
     Args:
         route: (K, 2) polyline, m, from the ego's centre.
         yaw: heading of the ego, rad.
-        lateral_mps2: highest lateral acceleration.
         length_m: longest part of the route that matters.
     """
     line, beside = _from_lane(_without_jumps(np.asarray(route, np.float64)), yaw)

@@ -95,7 +95,6 @@ def predict(
     """Return where tracks will be.
 
     Args:
-        tracks: at the present.
         acceleration: (N,) change of their speeds, m/s2.
         lanes: lanes ahead of them.
         settings: default: `PredictionSettings()`.
@@ -172,12 +171,10 @@ def _on_lanes(
 
     Args:
         whole: without lanes, one hypothesis for each track.
-        tracks: at the present.
         ways: (place among the moving tracks, lane ahead) of each hypothesis.
         moving: (M,) rows of the moving tracks.
         direction: (M,) of motion, rad.
         done: (M, T) distances covered, m.
-        settings: of the prediction.
     """
     place = np.array([one for one, _ in ways])
     row = moving[place]

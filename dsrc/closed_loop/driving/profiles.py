@@ -31,11 +31,9 @@ def profiles_of(
     """Return profiles that change their acceleration once, between standstill and a top speed.
 
     Args:
-        speed_mps: at present.
         top_mps: speed up to which they accelerate, at least the present one.
         first_mps2: (P,) acceleration up to `change_s`.
         then_mps2: (P,) acceleration after it.
-        change_s: time of the change.
         time_s: (T,) instants from 0 on, s.
     """
     first = speed_mps + first_mps2[:, None] * np.minimum(time_s, change_s)

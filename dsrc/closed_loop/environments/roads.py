@@ -41,8 +41,6 @@ class SampledLane(PolyLaneFixedWidth):
 
     Args:
         line: (K, 2) its middle in highway-env's plane, without repeated points.
-        width_m: its width.
-        limit_mps: its speed limit.
         bordered: see above.
     """
 
@@ -160,8 +158,6 @@ def junction_ahead(scenario: Scenario, seed: int, route: NDArray[np.float64]) ->
     or more the origin is where `intersection-v0` has it, `_START_M` ahead.
 
     Args:
-        scenario: its network.
-        seed: of the network.
         route: (K, 2) in the world, from the ego onwards, m.
 
     Raises:
@@ -199,9 +195,6 @@ def mirrored_network(path: Path) -> IndexedRoadNetwork:
     """Return highway-env's network of a .net.xml file: every lane that cars may use.
 
     A road E runs from node `E<` to node `E>`, a lane through a junction from `A>` to `B<`.
-
-    Args:
-        path: network file.
 
     Raises:
         ScenarioError: the file is missing or damaged.

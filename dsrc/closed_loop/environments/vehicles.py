@@ -12,7 +12,6 @@ class TrackedVehicle(Vehicle):
     """Vehicle of a track; most observations need no lane of it.
 
     Args:
-        road: it is on.
         position: (2,) in highway-env's plane, m.
         heading: in highway-env's plane, rad.
         speed: along its heading, m/s.

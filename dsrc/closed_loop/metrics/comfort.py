@@ -47,7 +47,6 @@ def comfort(motion: Motion, step_s: float) -> Comfort:
     Source: nuPlan's `ego_is_comfortable`; see the module for the smoothing.
 
     Args:
-        motion: of the ego.
         step_s: time between two steps, s.
     """
     found = signals(motion, step_s)

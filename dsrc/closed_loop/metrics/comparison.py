@@ -87,7 +87,6 @@ def counted(results: Sequence[Result], failed: bool = False) -> list[Result]:
     driving could be judged, so that it must not count as one without a crash.
 
     Args:
-        results: of any perceptions.
         failed: keep episodes whose perception failed, for arrivals: they are none.
     """
     dropped = {Outcome.DESYNCHRONISED.value} if failed else {Outcome.DESYNCHRONISED.value, _FAILED}
@@ -100,8 +99,6 @@ def pairs(
     """Return the counted results of the same scenario, seed, corruption, severity, corrupted agents and channel.
 
     Args:
-        results: of one perception.
-        others: of another.
         any_channel: channels may differ: a perception without helpers has none.
         failed: see `counted`.
 
@@ -165,7 +162,6 @@ def harm_rate(together: Sequence[Result], alone: Sequence[Result], value: Value 
     """Return the share of pairs in which cooperation made it worse: `value` is larger than that of the ego alone.
 
     Args:
-        together: results with cooperation.
         alone: results of the same seeds without.
         value: of which less is better.
     """
@@ -179,7 +175,6 @@ def gain_per_megabyte(together: Sequence[Result], alone: Sequence[Result], value
     NaN where nothing was received.
 
     Args:
-        together: results with cooperation.
         alone: results of the same seeds without.
         value: of which less is better.
     """
@@ -198,7 +193,6 @@ def avoidable(results: Sequence[Result], careful: Sequence[Result]) -> list[floa
     Source: UN Regulation No. 157, annex 3: a crash is unavoidable if a competent and careful human driver crashes too.
 
     Args:
-        results: of any perceptions.
         careful: of `CarefulDriver` with the truth.
     """
     known = {(one.scenario, one.seed): collided(one) for one in counted(careful)}

@@ -50,7 +50,6 @@ def driving_score_2_0(completion: float, infractions: Infractions) -> float:
 
     Args:
         completion: share of the route driven, 0 to 1.
-        infractions: of the episode.
     """
     score = completion * (1.0 - infractions.off_lane_share)
     for name, factor in _FACTORS.items():
@@ -67,7 +66,6 @@ def driving_score_2_1(completion: float, infractions: Infractions) -> float:
 
     Args:
         completion: share of the route driven, 0 to 1.
-        infractions: of the episode.
     """
     penalty = sum(weight * getattr(infractions, name) for name, weight in _PENALTIES.items())
     penalty += _SLOW_PENALTY * (1.0 - infractions.speed_share)

@@ -60,7 +60,6 @@ def pdms(log: EpisodeLog, reference: EpisodeLog | None = None) -> Pdms:
     """Return the terms of an episode.
 
     Args:
-        log: of the episode.
         reference: for the progress, see `dsrc.closed_loop.metrics.progress`.
     """
     motion, contact = Motion.of(log), log.contact

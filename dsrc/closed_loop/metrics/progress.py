@@ -27,7 +27,6 @@ def progress(log: EpisodeLog, reference: EpisodeLog | None = None) -> Progress:
     with the truth and without corruption; what a car drives alone, see `free_flow_m`.
 
     Args:
-        log: of the episode.
         reference: episode of the same seed with the truth.
     """
     driven = log.ticks[-1].ego.progress_m if log.ticks else 0.0

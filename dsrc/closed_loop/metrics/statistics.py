@@ -69,9 +69,7 @@ def mean(values: Sequence[float], level: float = LEVEL, seed: int = 0) -> Estima
     171-185.
 
     Args:
-        values: one per episode.
         level: share of samples whose interval holds the true value.
-        seed: of the resamples.
     """
     known = np.array(values, np.float64)
     known = known[np.isfinite(known)]

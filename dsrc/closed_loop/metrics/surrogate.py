@@ -198,7 +198,6 @@ def headways(motion: Motion, routes: list[NDArray[np.float64]]) -> NDArray[np.fl
     Prevention 35 (2003), 427-433, with the net gap in place of that between front bumpers.
 
     Args:
-        motion: of the ego.
         routes: (K, 2) route from the ego's centre at each step, m.
     """
     found = np.full(len(motion), math.inf)

@@ -26,9 +26,7 @@ class DetectorPerception:
     """Detections in the sweeps of the ego and its helpers; the detector gets no ground truth.
 
     Args:
-        detector: finds boxes in samples.
         cooperative: False leaves the ego alone.
-        faults: corruption of the sweeps.
         channel: radio channel between the helpers and the ego.
         interval_s: time between percepts, s, thus between the helpers' messages.
         look_ahead_s: reaction time of the stopping distance that the detector's range is shifted ahead to cover, s, by

@@ -18,7 +18,6 @@ def false_actors(claims: Mapping[str, Actors], now: Actors, agents: Iterable[int
 
     Args:
         claims: by the name of the helper; `roadside` is the first roadside unit, `roadside 2` the second.
-        now: actors, for their names.
         agents: ids of those who send messages.
     """
     senders = set(agents)

@@ -59,7 +59,6 @@ class Senses:
         index: number of the newest frame, 0 before the first.
 
     Args:
-        faults: corruption of the sweeps.
         cooperative: False leaves the ego alone.
     """
 
@@ -80,7 +79,6 @@ class Senses:
 
         Args:
             before: actors one traffic step ago.
-            now: actors now.
             claims: false objects that helpers report, by the name of the helper.
 
         Raises:

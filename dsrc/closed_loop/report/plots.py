@@ -99,7 +99,6 @@ def deadly_corruptions(results: Sequence[Result], perceptions: Sequence[str] = (
     Args:
         results: of a campaign, of one severity: each clean episode is one half of one pair per corruption.
         perceptions: a panel each; default: all with a corrupted episode.
-        title: of the figure.
     """
     kinds = [kind for kind in _kinds(results) if kind != CLEAN]
     scenarios = list(dict.fromkeys(one.scenario for one in results))
@@ -163,8 +162,6 @@ def cost_of_channel(
         results: clean episodes through several channels.
         quantities: function from a result to the quantity by axis label, e.g. latency in s or share of lost packets;
             results for which it is NaN are left out.
-        styles: of the perceptions.
-        title: of the figure.
     """
     perceptions = _perceptions(results)
     styles = styles or styles_of(perceptions)

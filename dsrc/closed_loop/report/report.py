@@ -56,7 +56,6 @@ def publish_report(result: CampaignResult, out: Path, document: Path) -> Path:
     """Write the tables and plots of a campaign between their markers in a document, their files beside it.
 
     Args:
-        result: of the campaign.
         out: its folder, with the report.
         document: Markdown, see `dsrc.tables.document.publish`; sections are named like the tables and plots.
 

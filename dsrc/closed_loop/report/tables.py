@@ -88,9 +88,6 @@ def _table(name: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note:
 
     Args:
         name: one of `NAMES`.
-        heads: of the columns.
-        rows: a text per column.
-        note: below the table.
         left: number of columns of words.
     """
     listed = tuple(TableRow(first, tuple(cells)) for first, *cells in rows)

@@ -26,7 +26,6 @@ def assigned(cost: Array, allowed: NDArray[np.bool_], limit: float) -> tuple[Row
     Args:
         cost: (N, M) not negative, below `limit` where allowed.
         allowed: (N, M) pairs inside the gate.
-        limit: cost of no pair.
     """
     rows, columns = linear_sum_assignment(np.where(allowed, cost, limit))
     inside = allowed[rows, columns]
@@ -40,7 +39,6 @@ def overlaps(a: Array, b: Array, alike: NDArray[np.bool_], iou: float) -> NDArra
         a: x, y, z, l, w, h, yaw.
         b: the same.
         alike: (N, M) pairs of one kind.
-        iou: smallest intersection over union.
     """
     out = np.zeros(alike.shape, bool)
     # The distance of the centres first, then their line as a separating axis: few pairs of a scene are left.

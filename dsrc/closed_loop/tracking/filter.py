@@ -121,9 +121,7 @@ def predicted(state: State, dt: float, parameters: Parameters, turn_time_s: floa
     """Return the state after a time.
 
     Args:
-        state: N road users.
         dt: time, s, not negative.
-        parameters: motion of each.
         turn_time_s: correlation time of the turn rate, s: it decays towards 0 as an Ornstein-Uhlenbeck process.
     """
     n = len(state.mean)
@@ -180,7 +178,6 @@ def corrected(state: State, cross: Array, innovation: Array, residual: Array, li
     """Return the state after a measurement.
 
     Args:
-        state: N road users.
         cross: (N, 6, M) covariance of state and measurement, P H'.
         innovation: (N, M, M) covariance of the residual, H P H' + R.
         residual: (N, M) measured minus expected.
@@ -204,7 +201,6 @@ def with_pose(state: State, position: Array, variance: Array, yaw_residual: Arra
     """Return the state after measured centres and headings.
 
     Args:
-        state: N road users.
         position: (N, 2) m.
         variance: (N, 2, 2) of the positions, m2.
         yaw_residual: (N,) measured heading minus the state's, rad.

@@ -19,9 +19,7 @@ def table_lines(sheet: Table, label: str, places: Sequence[float], styles: Mappi
 
     Args:
         sheet: table of AP at IoU 0.5 and 0.7.
-        label: of the horizontal axis.
         places: of the columns on it.
-        styles: of the lines.
     """
     columns = len(places)
     styles = styles or styles_of([line.label for line in sheet.rows])
@@ -107,7 +105,6 @@ def training_curves(epochs: Sequence[Mapping[str, str]], title: str = "") -> Fig
 
     Args:
         epochs: rows of a training's `metrics.csv`; numbers may be empty or missing.
-        title: of the figure.
     """
     names = list(dict.fromkeys(name for row in epochs for name in row))
     precisions = [name for name in names if name.startswith(("val/ap_", "train/ap_"))]

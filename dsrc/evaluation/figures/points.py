@@ -66,8 +66,6 @@ def traffic_scatter(
 
     Args:
         points: kB per frame, AP at IoU 0.5 and AP at 0.7, by method.
-        styles: of the methods.
-        title: of the figure.
     """
     styles = styles or styles_of(list(points))
     with figure_style():

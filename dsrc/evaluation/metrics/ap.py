@@ -239,8 +239,6 @@ def curve_of(hit: NDArray[np.bool_], score: NDArray[np.float32], n_truth: int) -
 
     Args:
         hit: true positives.
-        score: confidence.
-        n_truth: number of true boxes.
     """
     rows = rank(score, "global")
     recall, precision = precision_recall(hit[rows], n_truth)

@@ -58,7 +58,6 @@ class RankedDetections:
 
         Args:
             matches: by falling score inside each frame.
-            ious: thresholds.
             inside_frames: keep that order, frame after frame, as OpenCOOD does, in place of one by score over all.
             least_score: of the detections that count; those left out had suppressed nothing that counts.
         """
@@ -96,8 +95,6 @@ def draw_weights(group: NDArray[np.int64], count: int, rng: np.random.Generator)
 
     Args:
         group: (F,) number, from 0, of the unit drawn as a whole: the frame itself or its drive.
-        count: number of resamples.
-        rng: generator.
     """
     n = int(group.max(initial=-1)) + 1
     if n == 0:
@@ -111,7 +108,6 @@ def resampled_ap(ranked: RankedDetections, weights: NDArray[np.float32]) -> NDAr
     """(T, R) average precision at each threshold in each resample; NaN for one without a true box.
 
     Args:
-        ranked: ranked detections.
         weights: (R, F) see `draw_weights`.
     """
     return np.stack([_resampled_ap(ranked, ranks, weights) for ranks in map(np.flatnonzero, ranked.hit)])
@@ -147,7 +143,6 @@ def percentile_interval(values: NDArray[np.float64], units: int, level: float = 
     wider than the resamples of few units: at 7 units 0.4 % and 99.6 % for a level of 95 %.
 
     Args:
-        values: one per resample.
         units: number of frames or drives drawn from; fewer than two have no interval.
         level: share of samples whose interval holds the true value.
     """

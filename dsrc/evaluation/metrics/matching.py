@@ -47,7 +47,6 @@ def match_greedily(place: NDArray[np.integer], truth: NDArray[np.integer], place
     Args:
         place: (K,) detections of the pairs that overlap enough, ascending.
         truth: (K,) true boxes of the pairs; those of one detection by overlap, descending.
-        places: number of detections.
     """
     matched = np.full(places, -1, np.int64)
     taken: set[int] = set()

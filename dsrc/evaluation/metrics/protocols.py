@@ -171,7 +171,6 @@ def get_protocols(names: str | Protocol | Sequence[str | Protocol], levels: bool
     """Protocols of a name or several, `all` for every one; a struct of one's own stays as it is.
 
     Args:
-        names: of protocols.
         levels: boxes are known in the image, for KITTI's levels; else `all` leaves these out.
 
     Raises:

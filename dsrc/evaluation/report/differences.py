@@ -102,7 +102,6 @@ def difference_table(
 
     Args:
         results: of the dataset, with the detections of the pairs' methods.
-        pairs: methods and their baselines.
         drives: (D,) evaluated frames of each drive; drives without any are left out.
     """
     drives = [frames for frames in drives if frames]
@@ -149,8 +148,6 @@ def _differences(
     """Differences of a pair, by condition and IoU.
 
     Args:
-        results: the rows.
-        pair: its methods.
         by_frame: metrics of methods in the sample, then in resamples of its frames.
         by_drive: likewise, of its drives.
         units: numbers of frames and drives.
@@ -192,8 +189,6 @@ def _resampled(results: DatasetResults, methods: Sequence[str], group: NDArray[n
     """Metrics of methods in the sample itself, then in its resamples.
 
     Args:
-        results: the rows.
-        methods: names.
         group: see `draw_weights`.
     """
     drawn = draw_weights(group, RESAMPLES, np.random.default_rng(SEED))

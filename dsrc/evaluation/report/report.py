@@ -69,10 +69,7 @@ def write_results(
     """Write `results.json`, `results.csv` and `timings.csv`; a warning names former results that they replace.
 
     Args:
-        out: folder.
-        made_by: provenance.
         entries: results and their detectors, a row each.
-        differences: between methods, JSON types.
     """
     if gone := _methods_of(out / "results.csv") - _methods_in(made_by):
         names = ", ".join(f"{method} on {dataset}" for method, dataset in sorted(gone))
@@ -100,12 +97,7 @@ def _methods_in(made_by: Mapping[str, Any]) -> set[tuple[str, str]]:
 
 
 def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, TrainedDetector]]) -> StoredIndex:
-    """Index of the stored detections of results, named as their rows are.
-
-    Args:
-        result: the benchmark.
-        entries: results and their detectors.
-    """
+    """Index of the stored detections of results, named as their rows are."""
     # Paths are dict keys for their order.
     places = list(dict.fromkeys((entry.case.dataset, path) for entry, _ in entries for path in entry.drives))
     runs = []

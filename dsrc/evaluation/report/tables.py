@@ -24,7 +24,6 @@ def table_1(results: DatasetResults, *, opencood: bool = False) -> Table:
     """Table of clean and corrupted frames, mCE and mean AP, bytes and time.
 
     Args:
-        results: of the dataset.
         opencood: detections sorted inside their frame only, as in the paper's tables.
     """
     names, kinds, methods = OPENCOOD_NAMES if opencood else NAMES, results.kinds(), list(results.trained)
@@ -73,13 +72,8 @@ def ap_table(
     """Table of average precisions, its note with sample and trainings, and footnotes.
 
     Args:
-        results: of the dataset.
-        name: of its files.
-        title: one line.
-        columns: one per cell.
         rows: from top to bottom.
         about: rest of the note's first sentence and what follows.
-        head: of the labels.
         methods: whose numbers they are; default: the labels.
     """
     methods = [row.label for row in rows] if methods is None else methods
@@ -201,8 +195,6 @@ def sample_note(results: DatasetResults, methods: Sequence[str], *, spread: bool
     """Note on a table's sample: frames and boxes, recipe and range, trainings.
 
     Args:
-        results: of the dataset.
-        methods: of the table.
         spread: explain ± where a method has several trainings.
     """
     if not methods:

@@ -40,7 +40,6 @@ def score_table(
 
     Args:
         scores: see `dsrc.evaluation.scoring.score.score`.
-        title: one line.
     """
     several = len(_names(scores)) > 1
     columns = [Column("protocol", align="left")] if several else []
@@ -61,9 +60,7 @@ def write_scores(out: Path, scores: Sequence[Score], made_by: Mapping[str, objec
     """Write `scores.json`, `scores.csv`, `scores.md` and `scores.png` into a folder.
 
     Args:
-        out: folder.
         scores: see `dsrc.evaluation.scoring.score.score`.
-        made_by: provenance.
     """
     rows = [_listed(one) for one in scores]
     write_file(out / "scores.json", json_text({"provenance": made_by, "rows": rows}))

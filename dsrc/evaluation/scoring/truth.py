@@ -24,7 +24,6 @@ def truth_of_frame(frame: Frame, ego_id: int | None = None, drive: str = "") -> 
     """True vehicles with a point of one of the first agents, as an ego knows them.
 
     Args:
-        frame: the frame.
         ego_id: the ego; None for the first vehicle, else the first agent.
         drive: begins the message of an error.
 
@@ -55,7 +54,6 @@ def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None =
 
     Args:
         tree: drive, folder of drives, or KITTI's object tree.
-        keys: of the frames.
         progress: called with frames read and frames to read.
 
     Raises:

@@ -138,10 +138,8 @@ def write_shares(
     """Write `shares.csv`, a line per agent and box, `shares.json` by frame and box, and `shares.png`.
 
     Args:
-        out: folder.
         rows: see `dsrc.evaluation.sharing.drives.share_drives`.
         frames: see `dsrc.evaluation.sharing.drives.frames_looked_at`.
-        made_by: provenance.
         drives: that the rows are of, for the review page.
     """
     by_frame: dict[tuple[str, str, int], dict[int, list[ShareRow]]] = {}

@@ -60,10 +60,6 @@ class ModelPerception:
 
     Each object has its own random numbers: two episodes with equal seeds in which others differ draw the same errors
     for it. It hears no lie of a helper, and measures no velocity.
-
-    Args:
-        model: of the perception.
-        errors: those of the condition.
     """
 
     def __init__(self, model: ErrorModel, errors: Errors) -> None:

@@ -67,12 +67,7 @@ class Observed:
 
 
 def observed_episode(log: EpisodeLog, cooperative: bool) -> Iterator[Observed]:
-    """Yield the percepts of an episode with the truth at the instants of their measurement, world frame.
-
-    Args:
-        log: of the episode.
-        cooperative: whether helpers took part.
-    """
+    """Yield the percepts of an episode with the truth at the instants of their measurement, world frame."""
     settings = log.settings
     views = Viewpoints(settings.scenario, settings.seed, settings.ego_id, cooperative)
     at = {round(tick.actors.time_s, 6): row for row, tick in enumerate(log.ticks)}
@@ -104,7 +99,6 @@ def observed_table(table: DetectionTable, cooperative: bool) -> Iterator[Observe
 
     Args:
         table: of one drive, in order of time.
-        cooperative: whether helpers took part.
     """
     for frame in table.frames():
         points = frame.points[:, :2].astype(np.int64)

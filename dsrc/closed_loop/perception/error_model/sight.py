@@ -43,8 +43,6 @@ class Viewpoints:
     """LiDARs of the ego and its helpers over an episode, the same agents as of `dsrc.closed_loop.perception.senses`.
 
     Args:
-        scenario: with its proven encounter.
-        seed: of the world.
         ego_id: object id of the ego.
         cooperative: False leaves the ego alone.
     """
@@ -60,7 +58,6 @@ class Viewpoints:
 
         Args:
             before: actors one step ago; at the first call they decide who the helpers are.
-            now: actors now.
             rows: (K,) objects, as rows of `now`.
         """
         if not self._carriers:
