@@ -1,32 +1,34 @@
-"""Files and folders that `dsrc` writes, and how each is known as ours; see `sim.files`."""
+"""Files and folders that `dsrc` writes, and the marks by which each is known as ours; see `sim.files`."""
 
-from sim.files import sign, sign_folder
+from sim.files import MARKS
 
 COMMENT = b"Software: dsrc"
 """Comment of an animation by which it is known as ours."""
 
-sign("archive", b"episode.npy", b"dsrc-detector-1", b"dsrc-detectors-1")
-sign("picture", b"Description\0{")
-sign("animation", COMMENT)
-sign("MCAP recording", b"dsrc-testbed")
-sign("web page", b"__REVIEW__")
-sign("network", b"dsrc-testbed")
-sign(
-    "data",
-    b'# {"',
-    b"scenario,perception,",
-    b"SHA-256 of the drives: `",
-    b'"dsrc error model',
-    b"Driven by `dsrc drive`",
-)
-
-sign_folder("data_protocol.yaml", b"testbed:")
-sign_folder("conversion.json", b'"drives"')
-sign_folder("corruption.json", b'"corruption"')
-sign_folder("manifest.json", b'"drives"')
-sign_folder("card.json", b'"agent_frames"')
-sign_folder("settings.json", b'"recipe"')
-sign_folder("results.json", b'"provenance"')
-sign_folder("scores.json", b'"provenance"')
-sign_folder("shares.json", b'"provenance"')
-sign_folder("plan.json", b'"perceptions"')
+_MARKS = {
+    "archive": (b"episode.npy", b"dsrc-detector-1", b"dsrc-detectors-1"),
+    "picture": (b"Description\0{",),
+    "animation": (COMMENT,),
+    "MCAP recording": (b"dsrc-testbed",),
+    "web page": (b"__REVIEW__",),
+    "network": (b"dsrc-testbed",),
+    "data": (
+        b'# {"',
+        b"scenario,perception,",
+        b"SHA-256 of the drives: `",
+        b'"dsrc error model',
+        b"Driven by `dsrc drive`",
+    ),
+    "data_protocol.yaml": (b"testbed:",),
+    "conversion.json": (b'"drives"',),
+    "corruption.json": (b'"corruption"',),
+    "manifest.json": (b'"drives"',),
+    "card.json": (b'"agent_frames"',),
+    "settings.json": (b'"recipe"',),
+    "results.json": (b'"provenance"',),
+    "scores.json": (b'"provenance"',),
+    "shares.json": (b'"provenance"',),
+    "plan.json": (b'"perceptions"',),
+}
+for _kind, _marks in _MARKS.items():
+    MARKS[_kind] = (*MARKS.get(_kind, ()), *_marks)

@@ -2,7 +2,7 @@
 
 One rule holds for every command. An existing file is replaced only if it is a regular one, of the kind of the new one,
 and was written by this package, or where `overwriting` is asked for. Who has written it is known by its content, or by
-the manifest of its folder, which each floor declares for what it writes: see `sign`.
+the manifest of its folder: each floor declares the marks of what it writes in `MARKS`.
 """
 
 import hashlib
@@ -36,8 +36,8 @@ _KINDS = {
 """Kinds of files by their first bytes; all else is data."""
 _NOTE = b"Software\0dsrc"
 
-_SIGNATURES = {"picture": [_NOTE], "archive": [b"version.npy"]}
-_MANIFESTS: dict[str, bytes] = {}
+MARKS: dict[str, tuple[bytes, ...]] = {"picture": (_NOTE,), "archive": (b"version.npy",)}
+"""Bytes of which a file of ours holds one: by its kind, `data` or one of `_KINDS`, or by its name as a folder's manifest."""
 
 _DEPTH = 4
 """Levels of folders between a manifest and its files: those of DAIR-V2X's."""
@@ -47,16 +47,6 @@ _CACHES = ("cells", "episodes", "encounters", "worlds")
 """Folders of cached results: elsewhere others have names like these, as nuScenes has."""
 
 _overwrite: ContextVar[bool] = ContextVar("overwrite", default=False)
-
-
-def sign(kind: str, *marks: bytes) -> None:
-    """Declare bytes of which a file of a kind, `data` or one of `_KINDS`, holds one if this package wrote it."""
-    _SIGNATURES.setdefault(kind, []).extend(marks)
-
-
-def sign_folder(manifest: str, mark: bytes) -> None:
-    """Declare the name of a folder's manifest, and bytes that it holds if this package wrote the folder."""
-    _MANIFESTS[manifest] = mark
 
 
 @contextmanager
@@ -138,7 +128,7 @@ def kind_of(path: Path) -> str:
 
 
 def _is_signed(path: Path, kind: str | None = None) -> bool:
-    return any(_holds(path, signature) for signature in _SIGNATURES.get(kind or kind_of(path), ()))
+    return any(_holds(path, mark) for mark in MARKS.get(kind or kind_of(path), ()))
 
 
 def _is_cached(path: Path) -> bool:
@@ -150,7 +140,8 @@ def _folders_above(path: Path) -> list[Path]:
 
 
 def _has_manifest(folder: Path) -> bool:
-    return any(_holds(folder / name, content) for name, content in _MANIFESTS.items())
+    manifests = [(name, mark) for name, marks in MARKS.items() if "." in name for mark in marks]
+    return any(_holds(folder / name, mark) for name, mark in manifests)
 
 
 def _holds(path: Path, content: bytes) -> bool:
