@@ -37,7 +37,7 @@ _KINDS = {
 _NOTE = b"Software\0dsrc"
 
 MARKS: dict[str, tuple[bytes, ...]] = {"picture": (_NOTE,), "archive": (b"version.npy",)}
-"""Bytes of which a file of ours holds one: by its kind, `data` or one of `_KINDS`, or by its name as a folder's manifest."""
+"""Bytes of which a file of ours holds one: by its kind, `data` or one of `_KINDS`, or by its name, a manifest's."""
 
 _DEPTH = 4
 """Levels of folders between a manifest and its files: those of DAIR-V2X's."""
