@@ -7,37 +7,11 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 # make clean test TORCH_INDEX=https://pypi.org/simple
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: demo results tables test test-slow test-browser test-explore fuzz lint format docs clean
+.PHONY: demo test test-slow test-browser test-explore fuzz lint format docs clean
 
 # An interrupted demo resumes.
 demo: $(READY)
 	$(BIN)/dsrc demo --out demo
-
-# All trainings of docs/results.md, then its tables; days on two cores, and an interrupted one resumes. `make tables`
-# measures the trainings that are kept in the repository; three hours, estimated.
-SMALL := docs/results/dsrc-sim-small
-KEPT := $(SMALL)/kept
-BENCHMARK := OMP_NUM_THREADS=1 $(BIN)/dsrc benchmark --docs docs/results.md --partial --workers 2
-results: $(READY)
-	$(BIN)/dsrc dataset build dsrc-sim --out data/dsrc-sim
-	$(BIN)/dsrc dataset build dsrc-sim-vulnerable --out data/dsrc-sim-vulnerable
-	$(BIN)/python examples/campaign.py --data data/dsrc-sim --out runs --kept $(KEPT) --past G2
-	cp runs/trainings.csv $(SMALL)
-	$(MAKE) tables
-
-tables: $(READY)
-	$(BIN)/dsrc dataset build dsrc-sim --out data/dsrc-sim
-	mkdir -p runs
-	for one in $(KEPT)/*/; do [ -e runs/$$(basename $$one) ] || cp -r $$one runs || exit 1; done
-	$(BENCHMARK) $(SMALL)/benchmark.toml --out runs/benchmark
-	$(BENCHMARK) $(SMALL)/twins.toml --out runs/twins
-	$(BENCHMARK) $(SMALL)/sweeps.toml --out runs/sweeps
-	$(BIN)/python examples/score_thresholds.py runs/twins --docs docs/results.md
-	$(BIN)/python examples/score_thresholds.py runs/benchmark --docs docs/results.md --scores 0.2 0.25 0.3 \
-		--baseline F-Cooper V2VNet V2X-ViT CoBEVT Where2comm CoAlign ERMVP MRCNet-style
-	$(BIN)/python examples/road_users.py --data data/dsrc-sim/test --frames 368 --docs docs/results.md \
-		--checkpoint vulnerable-alone=runs/vulnerable-alone/student/detector.pt vulnerable=runs/vulnerable/student/detector.pt
-	$(BIN)/python examples/zoo.py $(KEPT) --docs docs/zoo.md
 
 test: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile

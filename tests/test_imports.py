@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import re
 import tomllib
 from collections import defaultdict
 from functools import lru_cache
@@ -87,6 +88,15 @@ def test_a_room_never_imports_a_later_one() -> None:
         room = name.split(".")[0]
         later = set(ROOMS[ROOMS.index(room) + 1 :])
         assert not {other.split(".")[0] for other in imported()[name]["ours"]} & later, path
+
+
+def test_no_product_and_no_example_needs_the_studies() -> None:
+    outside = {"studies", "examples", "benchmarks", "tests"}
+    assert {name: found["others"] & outside for name, found in imported().items() if found["others"] & outside} == {}
+    for example in (ROOT / "examples").glob("*.py"):
+        assert not re.search(r"^\s*(from|import) (studies|benchmarks|tests)\b", example.read_text(), re.MULTILINE), (
+            example
+        )
 
 
 def test_a_heavy_package_comes_through_its_door() -> None:

@@ -90,7 +90,7 @@ def test_every_metric_of_an_episode_has_a_row():
 
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("d*/*/README.md"))]
-PAGES += [ROOT / "docs/results/small/README.md"]
+PAGES += [ROOT / "studies/shipped/README.md"]
 
 
 def commands_of(page: Path) -> Iterator[list[str]]:

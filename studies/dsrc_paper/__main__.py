@@ -1,8 +1,9 @@
 """Tables and figures of the DSRC paper, from a benchmark.
 
-    python -m studies.dsrc_paper docs/results/dsrc-sim-small/benchmark.toml --out runs/benchmark --docs PAGE.md
+Usage:
+    python -m studies.dsrc_paper studies/dsrc_paper/benchmark.toml --out runs/benchmark --docs PAGE.md
 
-runs the plan as `dsrc benchmark` does, with the cells in the folder, and adds the tables of the paper. `[pictures]` of
+It runs the plan as `dsrc benchmark` does and adds the tables of the paper. `[pictures]` of
 the plan names the teacher, the methods and the frames of Figures 6 and 8.
 """
 

@@ -1,8 +1,9 @@
 """Table of the drives of a split: frames, agents and ground truth as an evaluation counts them.
 
+Usage:
     python -m studies.dsrc_paper.drive_table data/dsrc-sim/test --docs docs/datasets.md --name dsrc-sim
 
-writes the table between `<!-- begin NAME/drives -->` and `<!-- end NAME/drives -->`; without `--docs` it is printed.
+It writes the table between `<!-- begin NAME/drives -->` and `<!-- end NAME/drives -->`; without `--docs` it is printed.
 """
 
 import argparse

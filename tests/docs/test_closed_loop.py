@@ -1,11 +1,10 @@
-"""Closed loop: what docs/closed_loop.md says is in the committed campaigns."""
+"""Closed loop: what the report of studies/closed_loop says is in the committed campaigns."""
 
 import re
 from collections import Counter
 from pathlib import Path
 
 import msgspec
-import pytest
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.plan import episodes_of
@@ -15,22 +14,19 @@ from dsrc.closed_loop.metrics.statistics import paired_rates
 from dsrc.closed_loop.report.report import markdown, sections
 from dsrc.closed_loop.report.tables import parts_of
 from dsrc.closed_loop.types import Outcome
-from tests.paths import ROOT
+from studies.closed_loop.page import PAGE, committed
 
 
 def campaigns() -> dict[str, CampaignResult]:
     """Committed campaigns with the results of theirs that are committed, by the name of their folder."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "examples"))
-        from closed_loop_page import committed
-    found = (committed(path) for path in sorted((ROOT / "docs/closed_loop").glob("*.toml")))
+    found = (committed(path) for path in sorted(PAGE.parent.glob("*.toml")))
     return {folder.name: result for folder, result in found}
 
 
 def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
-    page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
     blocks = {
-        f"{folder}/{section.name}": section.markdown(Path("closed_loop") / folder)
+        f"{folder}/{section.name}": section.markdown(Path("report") / folder)
         for folder, result in campaigns().items()
         for section in sections(result)
     }
@@ -47,14 +43,16 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
     assert all(shown == blocks[name] for name, shown in places)
     for folder in published:
         result = campaigns()[folder]
-        assert (ROOT / "docs/closed_loop" / folder / "report.md").read_text(encoding="utf-8") == markdown(result)
-        planned = {(job.scenario, job.seed, job.perception, job.condition["kind"]) for job in episodes_of(result.plan)}
+        assert (PAGE.with_suffix("") / folder / "report.md").read_text(encoding="utf-8") == markdown(result)
+        shipped = tuple(msgspec.structs.replace(one, checkpoint="") for one in result.plan.perceptions)
+        jobs = episodes_of(msgspec.structs.replace(result.plan, perceptions=shipped))
+        planned = {(job.scenario, job.seed, job.perception, job.condition["kind"]) for job in jobs}
         assert {(one.scenario, one.seed, one.perception, one.corruption) for one in result.results} == planned
 
 
 def test_what_is_said_of_training_with_corruption_is_in_its_results() -> None:
-    page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
-    text = " ".join(page.partition("### Taught with corruption")[2].partition("<!-- begin")[0].split())
+    page = PAGE.read_text(encoding="utf-8")
+    text = " ".join(page.partition("## Taught with corruption")[2].partition("<!-- begin")[0].split())
     common = parts_of(campaigns()["taught-with-corruption"])[0]
 
     def of(name: str, corruption: str) -> list[EpisodeResult]:
@@ -79,8 +77,8 @@ def test_what_is_said_of_training_with_corruption_is_in_its_results() -> None:
 
 
 def test_what_is_said_of_pedestrians_and_bicycles_is_in_their_results() -> None:
-    page = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8")
-    text = " ".join(page.partition("### Pedestrians and bicycles")[2].partition("### Whose crash")[0].split())
+    page = PAGE.read_text(encoding="utf-8")
+    text = " ".join(page.partition("## Pedestrians and bicycles")[2].partition("## Whose crash")[0].split())
     result = campaigns()["pedestrians-and-bicycles"]
     kinds = {one.corruption for one in result.results} - {"clean"}
     names = ("DSRC", "plain student", "ego alone", "late fusion")
@@ -149,7 +147,7 @@ def test_what_is_said_of_pedestrians_and_bicycles_is_in_their_results() -> None:
 
 
 def test_what_the_closed_loop_s_page_says_is_in_its_results() -> None:
-    text = " ".join((ROOT / "docs/closed_loop.md").read_text(encoding="utf-8").split())
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
     result = campaigns()["which-corruption-kills"]
     common = parts_of(result)[0]
     kinds = {one.corruption for one in common} - {"clean"}

@@ -33,7 +33,7 @@ from tests.test_readme import commands_of
 
 PAGES = sorted(
     path
-    for pattern in ("*.md", "docs/**/*.md", "examples/*.md", "benchmarks/*.md", "scenarios/**/*.md")
+    for pattern in ("*.md", "docs/**/*.md", "examples/*.md", "studies/**/*.md", "benchmarks/*.md", "scenarios/**/*.md")
     for path in ROOT.glob(pattern)
     if "_site" not in path.parts
 )

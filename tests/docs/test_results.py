@@ -1,7 +1,6 @@
-"""Results: what docs/results.md, docs/zoo.md and the README say of detectors is in the committed results."""
+"""Results: what the report, docs/zoo.md and the README say of detectors is in the committed results."""
 
 import csv
-import hashlib
 import json
 import re
 from collections import Counter
@@ -10,10 +9,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.commands import run_script
+from studies.dsrc_paper.campaign import factor
+from studies.dsrc_paper.trainings import SEEDS, campaign
 from tests.paths import ROOT
 
-TWINS = ROOT / "docs/results/dsrc-sim-twins"
+PAPER = ROOT / "studies/dsrc_paper"
+TWINS = PAPER / "report/dsrc-sim-twins"
 PLAIN = "AttFuse (plain student)"
 
 
@@ -23,23 +24,18 @@ def twins_rows() -> list[dict[str, str]]:
     return list(csv.DictReader(line for line in lines if not line.startswith("#")))
 
 
-def test_the_zoo_has_every_kept_detector_as_its_run_folder_records_it() -> None:
-    kept = ROOT / "docs/results/dsrc-sim-small/kept"
-    printed = run_script(ROOT / "examples/zoo.py", str(kept))
-    assert printed.returncode == 0, printed.stderr
-    page = (ROOT / "docs/zoo.md").read_text()
-    assert page.partition("<!-- begin zoo -->\n")[2].partition("\n<!-- end zoo -->")[0] == printed.stdout.strip()
-    detectors = sorted(kept.rglob("detector.pt"))
-    assert len(detectors) == printed.stdout.count("\n") - 2  # a line each below the head
-    for detector in detectors:
-        recorded = json.loads((detector.parent / "result.json").read_text())["detector"]
-        assert hashlib.sha256(detector.read_bytes()).hexdigest() == recorded, detector
-        settings = json.loads((detector.parent / "settings.json").read_text())
-        assert "folders" not in settings, f"{detector.parent}: paths of the machine that trained it"
+def test_the_zoo_has_every_kept_detector_with_its_hash() -> None:
+    table = (ROOT / "docs/zoo.md").read_text().partition("<!-- begin zoo -->\n")[2].partition("\n<!-- end zoo -->")[0]
+    rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
+    kept = dict(
+        reversed(line.split()) for line in (ROOT / "studies/dsrc_paper/weights.sha256").read_text().splitlines()
+    )
+    detectors = {name.split("/")[0]: digest[:12] for name, digest in kept.items() if name.endswith("/detector.pt")}
+    assert {row[0]: row[-1].strip("`") for row in rows} == detectors
 
 
 def test_what_is_said_of_pedestrians_and_two_wheelers_is_in_their_table() -> None:
-    page = (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    page = (ROOT / "studies/dsrc_paper/report.md").read_text(encoding="utf-8")
     block, _, after = page.partition("<!-- begin road_users -->\n")[2].partition("\n<!-- end road_users -->")
     text = " ".join(after.partition("[Gates]")[0].split())
     cells = (line.strip("| ").split(" | ") for line in block.splitlines()[2:])
@@ -52,7 +48,7 @@ def test_what_is_said_of_pedestrians_and_two_wheelers_is_in_their_table() -> Non
 
 
 def test_the_gain_from_the_usual_score_is_that_of_the_twins_results() -> None:
-    page = (ROOT / "docs/results.md").read_text()
+    page = (ROOT / "studies/dsrc_paper/report.md").read_text()
     block = page.partition("<!-- begin score_thresholds_twins -->\n")[2].partition("<!-- end")[0]
     shown = {row[0]: row[1].strip("*") for row in (line.strip("| ").split(" | ") for line in block.splitlines()[2:])}
     rows = twins_rows()
@@ -73,14 +69,14 @@ def test_the_gain_from_the_usual_score_is_that_of_the_twins_results() -> None:
 
 
 def test_every_interval_in_the_text_is_in_a_table_of_differences_and_those_that_hold_0_are_no_claims() -> None:
-    page = (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    page = (ROOT / "studies/dsrc_paper/report.md").read_text(encoding="utf-8")
     text = " ".join(re.sub(r"<!-- begin (\S+) -->.*?<!-- end \1 -->", "", page, flags=re.DOTALL).split())
 
     def rounded(*numbers: float) -> tuple[str, ...]:
         return tuple(f"{number:.1f}".replace("-0.0", "0.0") for number in numbers)
 
     resolved: dict[tuple[str, ...], bool] = {}
-    for file in (ROOT / "docs/results").glob("*/dsrc-sim/differences*.csv"):
+    for file in (ROOT / "studies/dsrc_paper/report").glob("*/dsrc-sim/differences*.csv"):
         for row in csv.DictReader(file.read_text(encoding="utf-8").splitlines()):
             found = rounded(*(100.0 * float(row[name]) for name in ("difference", "by_drive_low", "by_drive_high")))
             resolved[found] = resolved.get(found, False) or row["resolved"] == "True"
@@ -105,14 +101,10 @@ def test_every_interval_in_the_text_is_in_a_table_of_differences_and_those_that_
 
 
 def test_the_text_counts_the_trainings_that_are_done() -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "examples"))
-        from campaign import factor
-        from trainings import SEEDS, campaign
-    kept = ROOT / "docs/results/dsrc-sim-small/kept"
-    planned = campaign(SEEDS, factor(kept))
-    done = [one for one in planned if one.detector(kept).is_file()]
-    text = " ".join((ROOT / "docs/results.md").read_text(encoding="utf-8").split())
+    planned = campaign(SEEDS, factor(PAPER))
+    trained = {row["name"] for row in csv.DictReader((PAPER / "trainings.csv").read_text().splitlines())}
+    done = [one for one in planned if one.name in trained]
+    text = " ".join((ROOT / "studies/dsrc_paper/report.md").read_text(encoding="utf-8").split())
     assert f"{len(done)} of {len(planned)} planned trainings are done" in text
 
 
@@ -125,7 +117,7 @@ SENDERS = (
 
 def ranks_of_dsrc(table: str) -> dict[str, int]:
     """Rank of DSRC among the methods that send features, by column of a Table 1."""
-    text = (ROOT / f"docs/results/dsrc-sim-small/dsrc-sim/{table}.csv").read_text(encoding="utf-8")
+    text = (ROOT / f"studies/dsrc_paper/report/dsrc-sim-small/dsrc-sim/{table}.csv").read_text(encoding="utf-8")
     rows = {row["Method"]: row for row in csv.DictReader(text.splitlines())}
     ranks = {}
     for column in rows["DSRC"]:
@@ -137,7 +129,7 @@ def ranks_of_dsrc(table: str) -> dict[str, int]:
 
 
 def test_the_ranks_of_dsrc_in_the_text_are_those_of_table_1() -> None:
-    text = " ".join((ROOT / "docs/results.md").read_text(encoding="utf-8").split())
+    text = " ".join((ROOT / "studies/dsrc_paper/report.md").read_text(encoding="utf-8").split())
     words = ["no", "first", "second", "third", "fourth", "fifth", "sixth", "seventh"]
     counts = ["none", "one", "two", "three", "four", "five", "six"]
     ours, published = ranks_of_dsrc("table_1"), ranks_of_dsrc("table_1_paper")
@@ -177,7 +169,7 @@ def t_interval(values: np.ndarray) -> tuple[float, float]:
 
 
 def test_what_is_said_over_trainings_is_in_the_twins_results() -> None:
-    text = " ".join((ROOT / "docs/results.md").read_text(encoding="utf-8").split())
+    text = " ".join((ROOT / "studies/dsrc_paper/report.md").read_text(encoding="utf-8").split())
     corrupted = {(f, iou): gains(f, iou, clean=False) for f in ("paper", "physical") for iou in (50, 70)}
     assert all(len(pairs) == 5 and pairs.min() > 0 for pairs in corrupted.values())
     low, high = (
@@ -194,7 +186,7 @@ def test_what_is_said_over_trainings_is_in_the_twins_results() -> None:
 
 
 def test_the_boxes_that_are_counted_are_those_of_the_twins() -> None:
-    text = " ".join((ROOT / "docs/results.md").read_text(encoding="utf-8").split())
+    text = " ".join((ROOT / "studies/dsrc_paper/report.md").read_text(encoding="utf-8").split())
     clean = [row for row in twins_rows() if row["condition"] == "clean"]
     ours, plain = (
         f"{np.mean([int(row['detections']) for row in clean if row['method'] == m]):,.0f}" for m in ("DSRC", PLAIN)
@@ -205,7 +197,7 @@ def test_the_boxes_that_are_counted_are_those_of_the_twins() -> None:
 
 @pytest.mark.parametrize("family", ["", "_paper"])
 def test_the_corruptions_that_are_said_to_be_resolved_are_those_of_the_twins(family: str) -> None:
-    page = " ".join((ROOT / "docs/results.md").read_text(encoding="utf-8").split())
+    page = " ".join((ROOT / "studies/dsrc_paper/report.md").read_text(encoding="utf-8").split())
     text = page.partition("* **One corruption at a time**")[2].partition("* **")[0]
     with (TWINS / f"dsrc-sim/differences{family}.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["condition"] not in ("clean", "mean_corrupted", "mce")]
@@ -218,8 +210,8 @@ def test_the_corruptions_that_are_said_to_be_resolved_are_those_of_the_twins(fam
 
 
 def test_the_gates_that_are_told_are_those_of_the_record() -> None:
-    text = " ".join((ROOT / "docs/results.md").read_text(encoding="utf-8").split())
-    record = json.loads((ROOT / "docs/results/dsrc-sim-small/kept/gates.json").read_text(encoding="utf-8"))
+    text = " ".join((ROOT / "studies/dsrc_paper/report.md").read_text(encoding="utf-8").split())
+    record = json.loads((ROOT / "studies/dsrc_paper/gates.json").read_text(encoding="utf-8"))
     gates = {gate["name"]: gate for gate in record}
     score = {name: gates[name]["measured"]["score_at_hidden_positives"] for name in ("G0", "G0-alone", "G0-1000")}
     assert f"hidden positives {score['G0']:.2f}, least {gates['G0']['bounds']['score_at_hidden_positives']}" in text

@@ -179,10 +179,13 @@ def _settings(folder: Path) -> list[Target]:
     scenario = folder / "scenario.toml"
     scenario.write_text((ROOT / "scenarios" / "four_way" / "scenario.toml").read_text())
     campaign = folder / "campaign.toml"
-    shipped = (ROOT / "docs" / "closed_loop" / "campaign.toml").read_text()
-    campaign.write_text(shipped.replace("../../dsrc", f"{ROOT}/dsrc").replace("../results", f"{ROOT}/docs/results"))
+    shipped = (ROOT / "studies/closed_loop/campaign.toml").read_text()
+    shipped = shipped.replace("../../dsrc", f"{ROOT}/dsrc")
+    campaign.write_text(
+        shipped.replace("../../runs/single_s0/student/detector.pt", f"{ROOT}/dsrc/checkpoints/small-plain.pt")
+    )
     driven = folder / "results.csv"
-    driven.write_bytes((ROOT / "docs/closed_loop/nothing-is-hidden/results.csv").read_bytes())
+    driven.write_bytes((ROOT / "studies/closed_loop/report/nothing-is-hidden/results.csv").read_bytes())
     files = {"benchmark.toml": BENCHMARK, "few.toml": DATASET, "trace.csv": TRACE, "set.txt": "batch_size=2"}
     benchmark, dataset, trace, words = (folder / name for name in files)
     for name, text in files.items():

@@ -1,0 +1,132 @@
+"""Differences of methods by the score from which boxes count, sorted inside frames as OpenCOOD does.
+
+Usage:
+    python -m studies.dsrc_paper.score_thresholds runs/twins --docs studies/dsrc_paper/report.md
+    python -m studies.dsrc_paper.score_thresholds runs/benchmark --baseline V2VNet CoBEVT --scores 0.2 0.25
+
+Read from the detections that a benchmark has stored, under its ideal channel, of severity 3 where it has several; boxes
+below a detector's own least score are not among them. Trainings and corruptions are averaged; where two methods have
+trainings of two or more common numbers, only these count.
+In brackets is the 95 % interval of 1,000 resamples of the drives, see dsrc/evaluation/metrics/intervals.py; bold
+numbers are those whose interval excludes 0. With several baselines the intervals are left out.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.evaluation.cache import read_cell
+from dsrc.evaluation.detect import join_results
+from dsrc.evaluation.metrics.intervals import (
+    IOUS,
+    RESAMPLES,
+    RankedDetections,
+    draw_weights,
+    percentile_interval,
+    resampled_ap,
+)
+from dsrc.evaluation.report.dataset_results import PAPER_SEVERITY
+from dsrc.evaluation.report.differences import SEED
+from dsrc.evaluation.stored import StoredRun, read_index
+from sensors.corruptions import CLEAN
+from sim.errors import UserError
+from studies.look import put_table
+
+SCORES = (0.2, 0.25, 0.3, 0.35, 0.4)
+GROUPS = {
+    "clean": ("physical", True),
+    "mean of the corruptions as published": ("paper", False),
+    "mean of our corruptions": ("physical", False),
+}
+"""Family of each row, and whether it is of clean frames."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("results", type=Path, help="folder of a benchmark, with its cells")
+    parser.add_argument("--method", default="DSRC", help="method, by its name in the tables")
+    parser.add_argument(
+        "--baseline", nargs="+", default=["AttFuse (plain student)"], help="methods that it is compared with"
+    )
+    parser.add_argument("--scores", nargs="+", type=float, default=SCORES, help="least scores of boxes that count")
+    parser.add_argument(
+        "--docs", type=Path, help="Markdown document that gets the table, between markers score_thresholds_FOLDER"
+    )
+    options = parser.parse_args()
+    if not all(0.0 <= score <= 1.0 for score in options.scores):
+        parser.error(f"--scores: expected numbers from 0 to 1, found {' '.join(map(str, options.scores))}")
+    try:
+        index = read_index(options.results)
+        if len(datasets := {drive.dataset for drive in index.drives}) > 1:
+            parser.error(f"{options.results}: expected results of one dataset, found {', '.join(sorted(datasets))}")
+        severities = {run.severity for run in index.runs if run.kind != CLEAN}
+        shown = {PAPER_SEVERITY} & severities or severities
+        if len(shown) > 1:
+            parser.error(f"{options.results}: expected severity {PAPER_SEVERITY} or one, found {sorted(shown)}")
+        runs = [run for run in index.runs if run.channel == "ideal" and not run.swept]
+        runs = [run for run in runs if run.kind == CLEAN or run.severity in shown]
+        names = sorted({run.method for run in runs})
+        for option, wanted in (("method", [options.method]), ("baseline", options.baseline)):
+            for name in wanted:
+                if name not in names:
+                    parser.error(f"--{option}: expected one of {', '.join(names)}, found {name}")
+        rows = rows_of(options, runs)
+    except UserError as error:
+        parser.error(str(error))
+    several = len(options.baseline) > 1
+    head = [*(["difference"] if several else []), "boxes count from", *(f"{score:g}" for score in options.scores)]
+    put_table(options.docs, f"score_thresholds_{options.results.name}", head, rows)
+
+
+def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun]) -> list[list[str]]:
+    """Return the table's rows: a baseline's by group and IoU, several baselines' by baseline and group."""
+    rows, several = [], len(options.baseline) > 1
+    for baseline in options.baseline:
+        for group, (family, clean) in GROUPS.items():
+            chosen = [run for run in runs if (run.family, run.kind == CLEAN) == (family, clean)]
+            if not chosen:
+                continue
+            numbers = [{run.training for run in chosen if run.method == name} for name in (options.method, baseline)]
+            if len(common := set.intersection(*numbers)) > 1:
+                chosen = [run for run in chosen if run.training in common]
+            gains = resampled(options, chosen, options.method) - resampled(options, chosen, baseline)
+            drives = len(chosen[0].cells)
+            cells = [[text_of(gain, drives, short=several) for gain in at_score] for at_score in gains]
+            if several:
+                rows.append([f"{options.method} − {baseline}", group, *map(" / ".join, cells)])
+            else:
+                columns = zip(*cells, strict=True)
+                rows += [[f"{group}, {iou:g}", *column] for iou, column in zip(IOUS, columns, strict=True)]
+    return rows
+
+
+def resampled(options: argparse.Namespace, runs: Sequence[StoredRun], method: str) -> NDArray[np.float64]:
+    """Return (S, T, 1 + R) mean AP of a method's runs in the sample and in its resamples, by score and IoU."""
+    own = [run for run in runs if run.method == method]
+    found = np.zeros((len(options.scores), len(IOUS), 1 + RESAMPLES))
+    for run in own:
+        drives = [join_results([read_cell(options.results / "cells", key) for key in keys]) for keys in run.cells]
+        matches = join_results(drives).matches
+        drive = np.repeat(np.arange(len(drives)), [one.matches.frames for one in drives])
+        drawn = draw_weights(drive, RESAMPLES, np.random.default_rng(SEED))
+        weights = np.concatenate([np.ones((1, matches.frames), np.float32), drawn])
+        for row, least in enumerate(options.scores):
+            ranked = RankedDetections.of(matches, inside_frames=True, least_score=least)
+            found[row] += resampled_ap(ranked, weights) / len(own)
+    return found
+
+
+def text_of(gains: NDArray[np.float64], drives: int, *, short: bool) -> str:
+    """Return a difference in points with its interval, which `short` leaves out; bold where it excludes 0."""
+    interval = percentile_interval(gains[1:], drives)
+    text = f"{100 * gains[0]:+.1f}"
+    if not short and drives > 1:  # one drive tells nothing of others
+        text += f" {interval.points}"
+    return f"**{text}**" if interval.excludes_zero else text
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""Pictures of the review page for its documentation, made in a real Chromium.
+
+Usage:
+    python -m studies.pictures.review data/test/berlin_301 --checkpoint dsrc/checkpoints/small-dsrc.pt
+
+An episode is added with `--episode EPISODE.npz`, a log of `dsrc drive`, and who helped with `--shares FOLDER` of
+`dsrc shares` on the drive.
+"""
+
+import argparse
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from dsrc.review.model import ReviewModel, open_model
+from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.cells.html import compare_address
+from dsrc.review.page.commands import go_to_error
+from dsrc.review.page.output.export import export_pictures, write_animation
+from dsrc.review.page.output.screenshot import PATIENCE_S, BrowserPage, open_page
+from dsrc.review.page.server import start_server
+from dsrc.review.page.session import Session
+from sim.files import signed_picture, write_file
+
+SIZE = (1500, 850)
+VIEW = "frame=10&camera=chase&off=labels"
+NEAR = "camera=chase&off=labels&view=-25,-6,15,6,2,0"
+"""View of the animation: nearer than the camera that chases the ego by itself."""
+SHARED = "/?fixedDpr=1&frame=46&camera=bev&off=labels"
+SMOOTH = (1280, 640), (800, 400)
+"""Sizes of the animation as it is drawn and as it is written, px: lines and points get smooth edges."""
+HIDE_NOTICES = """
+for(const page of [document,...[...document.querySelectorAll('iframe')].map(cell=>cell.contentDocument)])
+ page.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')
+"""
+TO_ERRORS = """
+[...document.querySelectorAll('p')].find(e=>e.innerText.includes('errors'))?.scrollIntoView({block:'start'})
+"""
+
+
+def picture_of_page(
+    model: ReviewModel,
+    address: str,
+    out: Path,
+    prepare: Callable[[Session, BrowserPage], None] = lambda *_: None,
+    cells: int = 1,
+) -> None:
+    """Write a picture of a page with its panels.
+
+    Args:
+        model: of the page.
+        address: path and query.
+        out: PNG.
+        prepare: called with the first session and the page before the picture is taken.
+        cells: sessions of the page.
+    """
+    app = ReviewApp(model, start_server())
+    try:
+        with open_page(app.url + address, SIZE) as page:
+            sessions = app.wait_session(cells, PATIENCE_S)
+            for session in sessions:
+                session.wait_drawn(PATIENCE_S)
+            page.evaluate(HIDE_NOTICES)
+            time.sleep(3.0)
+            prepare(sessions[0], page)
+            for session in sessions:
+                session.wait_drawn(PATIENCE_S)
+            time.sleep(5.0)
+            write_file(out, signed_picture(page.png()))
+    finally:
+        app.close()
+
+
+def smooth_pictures(model: ReviewModel, rows: Sequence[int]) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures of an animation, drawn larger than they are."""
+    drawn, written = SMOOTH
+    for image in export_pictures(model, NEAR, drawn, rows):
+        yield np.asarray(Image.fromarray(image).resize(written, Image.Resampling.LANCZOS))
+
+
+def show_lab(title: str) -> Callable[[Session, BrowserPage], None]:
+    """Scroll to the folder of a lab, opened."""
+    folder = f"[...document.querySelectorAll('*')].filter(e=>e.textContent.trim()==='{title}').pop()"
+
+    def show(_: Session, page: BrowserPage) -> None:
+        page.wait_for(folder, 60.0)
+        if title == "Sensor lab":
+            # It starts closed.
+            page.evaluate(f"{folder}.click()")
+            time.sleep(1.0)
+        page.evaluate(f"{folder}.scrollIntoView({{block:'start'}})")
+
+    return show
+
+
+def show_errors(session: Session, page: BrowserPage) -> None:
+    """Detect in all frames and go to the first missed object."""
+    session.detect_all()
+    while session.detecting():
+        time.sleep(0.5)
+    go_to_error(session, 1, "missed")
+    time.sleep(2.0)
+    page.evaluate(TO_ERRORS)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("drive", type=Path, help="drive to show")
+    parser.add_argument("--checkpoint", type=Path, required=True, help="detector")
+    parser.add_argument("--episode", type=Path, help="log of an episode")
+    parser.add_argument("--shares", type=Path, help="folder of dsrc shares")
+    parser.add_argument("--out", type=Path, default=Path("docs/pictures/review"), help="folder of the pictures")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="pictures to make; default: all")
+    parser.add_argument("--frames", type=int, default=10, help="frames of the animation")
+    given = parser.parse_args()
+    model, out = open_model(given.drive, given.checkpoint), given.out
+    rows = range(20, min(20 + given.frames, model.frame_count(0)))
+    foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
+    fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
+    pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"
+    riding = "/?fixedDpr=1&camera=chase&frame=35"
+    pictures: dict[str, Callable[[Path], object]] = {
+        "errors.png": lambda path: picture_of_page(model, "/?fixedDpr=1&frame=3", path, show_errors),
+        "cells.png": lambda path: picture_of_page(model, compare_address(VIEW, foggy), path, cells=2),
+        "corruption_lab.png": lambda path: picture_of_page(model, fog, path, show_lab("Corruption lab")),
+        "sensor_lab.png": lambda path: picture_of_page(model, pole, path, show_lab("Sensor lab")),
+        "drive.gif": lambda path: write_animation(smooth_pictures(model, rows), path, 0.1),
+    }
+    if given.episode is not None:
+        pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path)
+    if given.shares is not None:
+        pictures["shares.png"] = lambda path: picture_of_page(open_model(given.shares), SHARED, path)
+    for name in given.only or pictures:
+        pictures[name](out / name)
+        print(out / name)
+
+
+if __name__ == "__main__":
+    main()
