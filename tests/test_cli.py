@@ -235,6 +235,20 @@ def test_a_toml_names_the_command_that_takes_it(tmp_path: Path, content: str, ri
             assert_one_line(result, f"{begin}: {path} is a ", f"run: {command}")
 
 
+def test_a_corrupted_drive_is_generated_as_by_two_commands_and_leaves_no_second_tree(tmp_path: Path) -> None:
+    four_way = ("generate", "four_way", "--frames", "1", "--no-visibility", "--vehicles", "2", "--lidar", "debug-16")
+    fog = ("--corruption", "fog", "--severity", "4")
+    assert dsrc(*four_way, "--out", str(tmp_path / "clean")).returncode == 0
+    assert dsrc("corrupt", str(tmp_path / "clean"), *fog, "--out", str(tmp_path / "two")).returncode == 0
+    assert dsrc(*four_way, *fog, "--out", str(tmp_path / "one")).returncode == 0
+    one, two = (
+        {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        for folder in (tmp_path / "one", tmp_path / "two")
+    )
+    assert one == two and len(list((tmp_path / "one").iterdir())) == 1
+    assert_one_line(dsrc(*four_way, "--severity", "4", "--out", str(tmp_path / "x")), "add --corruption")
+
+
 def test_an_empty_folder_is_not_a_dataset(tmp_path: Path) -> None:
     assert_one_line(dsrc("view", str(tmp_path), "--out", str(tmp_path / "x.html")), str(tmp_path))
 

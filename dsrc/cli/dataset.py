@@ -1,13 +1,15 @@
 """Commands that write or read drives: `dsrc generate`, `dsrc corrupt` and `dsrc dataset`."""
 
 import sys
+from pathlib import Path
+from typing import Annotated
 
 import msgspec
 
 from dsrc.cli.progress import made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.drives import BuildOptions, Changes, ConvertOptions, CorruptOptions, GenerateOptions
-from dsrc.options.fields import Data, Folder, Output, Splits
+from dsrc.options.fields import CORRUPTIONS, Data, Folder, Output, Splits, choice
 from dsrc.runs.executors import Pool
 
 
@@ -19,19 +21,33 @@ class Generate(GenerateOptions, frozen=True):
     Examples:
         dsrc generate braunschweig --out data/train --seed 1
         dsrc generate ima_building --out data/encounters --seed 3 --view
+        dsrc generate four_way --out data/fog --at 120,120 --vehicles 2 --lidar vlp-16 --corruption fog
 
     Attributes:
         view: show the frames in the browser as they come, and go on showing them until interrupted.
+        corruption: kind of a corruption that dsrc corrupt then writes in place of the drive: the same bytes, but
+            a finished drive is simulated again when it is asked for again; default: none.
+        severity: severity of the corruption, 1 to 5; default: 3.
     """
 
     view: bool = False
+    corruption: Annotated[str | None, choice(CORRUPTIONS)] = None
+    severity: int | None = None
     output: Output = Output()
 
     def run(self) -> None:
         """Write the drive and print its folder."""
         from dsrc.data.write import generate
+        from sim.errors import SettingsError
 
         require_kind("generate", str(self.scenario), "scenario")
+        if self.corruption is not None:
+            if self.view:
+                raise SettingsError("generate: --view shows the drive before its --corruption; leave out --view")
+            self._write_corrupted(self.corruption)
+            return
+        if self.severity is not None:
+            raise SettingsError("generate: --severity is of a corruption; add --corruption")
         if not self.view:
             with progress(f"generate {self.scenario}") as report:
                 drive = generate(self, progress=report)
@@ -47,6 +63,26 @@ class Generate(GenerateOptions, frozen=True):
                 drive = generate(self, progress=report, watch=source.put)
             made(drive, f"a drive of {self.frames} frames", "view", drive)
             page.wait()
+
+    def _write_corrupted(self, kind: str) -> None:
+        """Simulate the drive in a hidden folder, which is removed once the corrupted one is whole."""
+        import shutil
+
+        from dsrc.data.datasets.corrupt import corrupt_dataset
+        from dsrc.data.write import generate
+        from sensors.corruptions import DEFAULT_SEVERITY, require_corruption
+
+        require_corruption(kind, DEFAULT_SEVERITY if self.severity is None else self.severity, "physical")
+        hidden = Path(self.out) / ".clean"
+        with progress(f"generate {self.scenario}") as report:
+            clean = generate(msgspec.structs.replace(self, out=hidden), progress=report)
+        drive = Path(self.out) / clean.name
+        with progress(f"corrupt {kind}") as report:
+            corrupt_dataset(CorruptOptions(clean, drive, kind, self.severity), progress=report)
+        shutil.rmtree(clean)
+        if not any(hidden.iterdir()):
+            hidden.rmdir()
+        made(drive, f"a drive of {self.frames} frames, {kind}", "view", drive)
 
 
 class Corrupt(CorruptOptions, frozen=True):

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.changes import at_place, with_sensors
 from dsrc.data.checksums import CHECKSUMS, write_checksums
 from dsrc.data.drive_folder import check_same, is_complete, read_settings, write_protocol
 from dsrc.data.formats.opv2v.reader import agent_table, write_frame
@@ -126,6 +127,11 @@ def generate(options: GenerateOptions, progress: Progress | None = None, watch: 
         SettingsError: a setting is out of its range.
     """
     scenario = options.scenario if isinstance(options.scenario, Scenario) else load_scenario(options.scenario)
+    if options.vehicles is not None and options.vehicles < 0:
+        raise SettingsError(complaint("generate", "--vehicles", "at least 0", options.vehicles))
+    scenario = with_sensors(scenario, options.vehicles, options.lidar, options.roadside_lidar, options.roadside)
+    if options.at is not None:
+        scenario = at_place(scenario, options.at)
     seed = scenario.seed if options.seed is None else options.seed
     spec = DriveSpec(scenario, seed, options.frames, **options.shared())
     spec.check()

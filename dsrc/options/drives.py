@@ -13,8 +13,10 @@ if TYPE_CHECKING:
     from sim import scenario
 
     AnyScenario = scenario.Scenario | str | Path
+    Place = str | tuple[float, float]
 else:
     AnyScenario = Scenario
+    Place = Annotated[str, arg(metavar="X,Y")]
 """Scenario, its name or the path of its file; on the command line one of the latter."""
 
 
@@ -46,12 +48,23 @@ class GenerateOptions(DriveOptions, frozen=True):
         out: parent folder; the drive becomes FOLDER/SCENARIO_SEED.
         frames: synchronised frames.
         seed: seed of everything random; default: the scenario's.
+        vehicles: number of vehicles with a LiDAR, the ego included; default: the scenario's.
+        lidar: preset of the vehicles' LiDARs, such as vlp-16; default: the scenario's.
+        roadside: keep the roadside units of the scenario.
+        roadside_lidar: preset of the roadside units' LiDARs; default: the scenario's.
+        at: point of the scenario's world, m, around which agents drive: they and the roadside units within 150 m of it
+            to each side take part; default: the scenario's area.
     """
 
     scenario: AnyScenario
     out: Folder
     frames: int = 100
     seed: int | None = None
+    vehicles: int | None = None
+    lidar: str | None = None
+    roadside: bool = True
+    roadside_lidar: str | None = None
+    at: Place | None = None
 
 
 class CorruptOptions(msgspec.Struct, frozen=True):

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.data.datasets.spec import log_settings, with_sensors
+from dsrc.data.changes import with_sensors
+from dsrc.data.datasets.spec import log_settings
 from dsrc.data.datasets.tracks import record_tracks
 from dsrc.data.drive_folder import read_settings
 from dsrc.data.formats.opv2v.reader import PROTOCOL

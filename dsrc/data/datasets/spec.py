@@ -26,6 +26,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from dsrc.data.changes import with_sensors
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec
 from dsrc.options.drives import DriveOptions
@@ -213,27 +214,6 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
         spec = DriveSpec(scenario, seed, frames, **group.shared())
         spec.check(where)
         yield DriveItem(split, drive, spec, recorded, proof)
-
-
-def with_sensors(
-    scenario: Scenario,
-    vehicles: int | None = None,
-    lidar: str | None = None,
-    roadside_lidar: str | None = None,
-    roadside: bool = True,
-) -> Scenario:
-    """Return a scenario with other sensors or another number of agents; None leaves a setting as it is."""
-    rule = scenario.agents
-    units = rule.roadside if roadside else ()
-    if roadside_lidar is not None:
-        units = tuple(msgspec.structs.replace(unit, lidar=roadside_lidar) for unit in units)
-    rule = msgspec.structs.replace(
-        rule,
-        vehicles=rule.vehicles if vehicles is None else vehicles,
-        lidar=rule.lidar if lidar is None else lidar,
-        roadside=units,
-    )
-    return msgspec.structs.replace(scenario, agents=rule)
 
 
 def log_settings(path: Path) -> tuple[Scenario, dict]:
