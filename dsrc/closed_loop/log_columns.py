@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,11 @@ from dsrc.closed_loop.types import Decision, EgoState, Percept, Tick, Tracks
 from sim.boxes import Boxes
 from sim.contact import Contact, Side
 from sim.packed import differences, packed
+from sim.rows import stacked
 from sim.traffic.base import ANGLE_RAD, POSITION_M, TIME_S, VELOCITY_MPS, TrafficLight, from_steps
 from sim.traffic.log import TrafficLog
+
+T = TypeVar("T", Boxes, Percept, Tracks)
 
 SCORE = 1e-4
 """Resolution of scores."""
@@ -21,7 +24,10 @@ FARTHEST = 1e9
 BOX = dict.fromkeys(("x", "y", "z", "length", "width", "height"), POSITION_M) | {"yaw": ANGLE_RAD}
 MOVING = {**BOX, "score": SCORE, "vx": VELOCITY_MPS, "vy": VELOCITY_MPS}
 TRACK = {**MOVING, "yaw_rate": ANGLE_RAD, "position_sd": POSITION_M, "unseen_s": TIME_S}
+_STEPS = {"center": POSITION_M, "size": POSITION_M, "yaw": ANGLE_RAD, "velocity": VELOCITY_MPS, "score": SCORE}
+_STEPS |= {name: TRACK[name] for name in ("yaw_rate", "position_sd", "unseen_s")}
 TWICE = ("x", "y", "yaw")  # differences of differences: objects keep their speed
+_NO_TRACKS = Tracks(0.0, Boxes.zeros(), np.zeros((0, 2)), *[np.zeros(0)] * 4)
 STATES = get_args(TrafficLight.__annotations__["state"])
 SIDES: tuple[Side, ...] = get_args(Side)
 
@@ -32,40 +38,23 @@ def rounded_tick(tick: Tick) -> Tick:
     Raises:
         ValueError: a number is not finite, or beyond `FARTHEST`; only velocities of percepts may be NaN.
     """
-    percept, tracks = tick.percept, tick.tracks
-    if percept is not None:
-        percept = replace(
-            percept,
-            boxes=_rounded_boxes(percept.boxes),
-            score=_snapped(percept.score, SCORE),
-            velocity=_snapped(percept.velocity, VELOCITY_MPS),
-        )
-    tracks = replace(
-        tracks,
-        boxes=_rounded_boxes(tracks.boxes),
-        velocity=_snapped(tracks.velocity, VELOCITY_MPS),
-        yaw_rate=_snapped(tracks.yaw_rate, ANGLE_RAD),
-        position_sd=_snapped(tracks.position_sd, POSITION_M),
-        score=_snapped(tracks.score, SCORE),
-        unseen_s=_snapped(tracks.unseen_s, TIME_S),
-    )
     return replace(
         tick,
         actors=tick.actors.rounded(),
         ego=replace(tick.ego, route=_snapped(tick.ego.route, POSITION_M)),
-        percept=percept,
-        tracks=tracks,
+        percept=None if tick.percept is None else _rounded(tick.percept),
+        tracks=_rounded(tick.tracks),
         claims={name: actors.rounded() for name, actors in tick.claims.items()},
     )
 
 
-def _rounded_boxes(boxes: Boxes) -> Boxes:
-    return replace(
-        boxes,
-        center=_snapped(boxes.center, POSITION_M),
-        size=_snapped(boxes.size, POSITION_M),
-        yaw=_snapped(boxes.yaw, ANGLE_RAD),
-    )
+def _rounded(table: T) -> T:
+    """Return boxes, or a table with boxes, with the columns of `_STEPS` rounded."""
+    changed: dict[str, Any] = {}
+    for name in ("boxes", *_STEPS):
+        if (column := getattr(table, name, None)) is not None:
+            changed[name] = _rounded(column) if name == "boxes" else _snapped(column, _STEPS[name])
+    return replace(table, **changed)
 
 
 def _snapped(values: NDArray[np.float64], step: float) -> NDArray[np.float64]:
@@ -173,16 +162,9 @@ def _percept_columns(percepts: Sequence[Percept | None]) -> dict[str, NDArray]:
 
 
 def _track_columns(tracks: Sequence[Tracks]) -> dict[str, NDArray]:
-    scalars = ("yaw_rate", "position_sd", "unseen_s")
-    values = np.concatenate(
-        [
-            _joined([one.boxes.array for one in tracks], (7,)),
-            _joined([one.score[:, None] for one in tracks], (1,)),
-            _joined([one.velocity for one in tracks], (2,)),
-            *(_joined([getattr(one, name)[:, None] for one in tracks], (1,)) for name in scalars),
-        ],
-        axis=1,
-    )
+    every = stacked(_NO_TRACKS, *tracks)
+    scalars = (every.yaw_rate, every.position_sd, every.unseen_s)
+    values = np.column_stack([every.boxes.array, every.score, every.velocity, *scalars])
     return {
         "track/time": np.array([one.time_s for one in tracks], np.float64),
         **_table_columns("track/", [one.boxes for one in tracks], values, TRACK),

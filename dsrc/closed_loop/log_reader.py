@@ -246,10 +246,7 @@ def _tracks(reader: ColumnReader, count: int) -> list[Tracks]:
             time_s=times[i],
             boxes=table.boxes[here],
             velocity=table.velocity(here),
-            yaw_rate=table.values["yaw_rate"][here],
-            position_sd=table.values["position_sd"][here],
-            score=table.values["score"][here],
-            unseen_s=table.values["unseen_s"][here],
+            **{name: table.values[name][here] for name in ("yaw_rate", "position_sd", "score", "unseen_s")},
         )
         for i, here in enumerate(rows)
     ]
