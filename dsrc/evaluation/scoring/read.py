@@ -46,20 +46,22 @@ class BoxFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         frame: its number.
         boxes: x, y, z of the centre, length, width, height, m, yaw, rad, in the ego LiDAR's frame.
-        scores: confidence of each.
+        score: confidence of each, as in `Detections`.
         drive: its drive; "" where the truth has one alone.
         ego: agent in whose LiDAR's frame the boxes are; None for the first vehicle.
+        scores: former name of `score`.
     """
 
     frame: int
     boxes: tuple[_Box, ...]
-    scores: tuple[_Number, ...]
+    score: tuple[_Number, ...] | None = None
     drive: str = ""
     ego: int | None = None
+    scores: tuple[_Number, ...] | None = None
 
 
 class BoxFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """JSON file of detections, `{"frames": [{"drive": "one", "frame": 3, "boxes": [[...]], "scores": [0.9]}]}`."""
+    """JSON file of detections, `{"frames": [{"drive": "one", "frame": 3, "boxes": [[...]], "score": [0.9]}]}`."""
 
     frames: tuple[BoxFrame, ...]
 
@@ -131,16 +133,16 @@ def _of_json(path: Path) -> DetectionSet:
         raise DataError(complaint(path, "frames", "at least one", "none"))
     for row, one in enumerate(listed):
         where, key = f"frames[{row}]", FrameKey(one.drive, one.frame, one.ego)
-        if len(one.scores) != len(one.boxes):
-            raise DataError(
-                complaint(path, f"{where}.scores", f"one for each of {len(one.boxes)} boxes", len(one.scores))
-            )
+        score = one.scores if one.score is None else one.score
+        if score is None or len(score) != len(one.boxes):
+            found = "none" if score is None else len(score)
+            raise DataError(complaint(path, f"{where}.score", f"one for each of {len(one.boxes)} boxes", found))
         if key in frames:
             raise DataError(complaint(path, where, "each frame once", f"frame {one.frame} of {one.drive!r} again"))
         boxes = np.array(one.boxes, np.float64).reshape(-1, 7)
         if not (boxes[:, 3:6] > 0).all():
             raise DataError(complaint(path, f"{where}.boxes", "positive sizes", f"{boxes[:, 3:6].min():g} m"))
-        frames[key] = Detections(Boxes.from_array(boxes), np.array(one.scores, np.float32))
+        frames[key] = Detections(Boxes.from_array(boxes), np.array(score, np.float32))
     return DetectionSet(path.stem, frames)
 
 

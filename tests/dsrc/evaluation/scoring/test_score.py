@@ -58,7 +58,7 @@ def as_json(path: Path, frames: dict[FrameKey, Detections]) -> Path:
             "drive": key.drive,
             "frame": key.frame,
             "boxes": found.boxes.array.tolist(),
-            "scores": [float(score) for score in found.score],
+            "score": [float(score) for score in found.score],
         }
         for key, found in frames.items()
     ]
@@ -220,7 +220,7 @@ def test_boxes_of_another_data_set_are_doubted(world) -> None:
         ('{"frames": [{"frame": 0, "boxes": [[1,2,3]], "scores": [1]}]}', "boxes"),
         (
             '{"frames": [{"frame": 0, "boxes": [], "scores": [1]}]}',
-            r"scores: expected one for each of 0 boxes, found 1",
+            r"score: expected one for each of 0 boxes, found 1",
         ),
         ('{"frames": [{"frame": 0, "boxes": [[1,2,3,0,5,6,7]], "scores": [1]}]}', "expected positive sizes, found 0 m"),
         ('{"frames": [{"frame": 0, "boxes": [], "scores": []}, {"frame": 0, "boxes": [], "scores": []}]}', "again"),
