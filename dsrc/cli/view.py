@@ -116,12 +116,11 @@ class View(ServeOptions, frozen=True, kw_only=True):
         from dsrc.review.page.app import first_state
         from dsrc.review.page.link import read_link
         from dsrc.review.page.output.export import export_pictures, write_animation, write_picture
-        from sensors.corruptions import parse_who, require_corruption, require_who
+        from sensors.corruptions import Condition
         from sim.errors import SettingsError
         from sim.files import check_apart, check_output
 
-        require_corruption(self.corruption, self.severity, self.family)
-        require_who(self.corruption, parse_who(self.who))
+        Condition.of(self.corruption, self.severity, self.family, self.who).checked()
         for path, kind in ((self.picture, "picture"), (self.animation, "animation")):
             if path is not None:
                 check_apart(path, self.data)

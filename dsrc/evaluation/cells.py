@@ -12,7 +12,6 @@ import msgspec
 
 from dsrc.data.drives import Drive, open_drive
 from dsrc.evaluation.cache import CellSettings, read_cell, read_settings, write_cell
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detect import Method, MethodResult, evaluate_drive
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
@@ -20,6 +19,7 @@ from dsrc.models.storage.checkpoint import load_student
 from dsrc.models.threads import one_thread
 from dsrc.runs.executors import Progress
 from dsrc.runs.study import Study, Unit
+from sensors.corruptions import Condition
 from sim.errors import SettingsError
 from sim.radio import ChannelSpec
 from sim.settings import convert

@@ -47,10 +47,10 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from dsrc.evaluation.conditions import PAPER_TABLE, Condition, check_numbers, corruption_kinds
+from dsrc.evaluation.conditions import check_numbers
 from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions
-from sensors.corruptions import EVERYONE, Family, parse_who, require_who
+from sensors.corruptions import EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.errors import SettingsError, complaint, did_you_mean, option
 from sim.radio import IDEAL, ChannelSpec, get_channel
 from sim.settings import convert, read_toml
@@ -183,7 +183,7 @@ class Case:
         method: name of the method.
         training: number of the method's detector, from 0.
         dataset: name of the dataset.
-        condition: corruption, severity, family and who is corrupted.
+        condition: condition of the sweeps.
         channel: name of the channel.
         agents: most agents that take part; None for all.
         pose_error: as in `ParameterSweeps`; 0 for the channel's.
@@ -338,20 +338,10 @@ def check(plan: Benchmark, where: str) -> None:
                 raise SettingsError(complaint(where, place, expected, field, did_you_mean(field, IN_USE)))
             hint = get_type_hints(ModelSettings, include_extras=True)[field]
             convert(value, hint, where, SettingsError, field=f"{place}.{field}")
-    check_numbers(where, plan.severities, plan.seed, plan.limit)
+    check_numbers(where, plan.seed, plan.limit)
     if not plan.severities:
         raise SettingsError(complaint(where, "severities", "at least one", "none"))
-    try:
-        parse_who(plan.who)
-    except SettingsError as error:
-        raise SettingsError(f"{where}: {error}") from None
-    for family in plan.families:
-        corruption_kinds(plan.corruptions, family, where)
-        try:
-            for kind in corruption_kinds(plan.corruptions, family, where):
-                require_who(kind, parse_who(plan.who))
-        except SettingsError as error:
-            raise SettingsError(f"{where}: {error}") from None
+    conditions_of(plan.corruptions, plan.severities, plan.families, plan.who, where)
     try:
         for channel in plan.channels:
             get_channel(channel)
@@ -381,19 +371,6 @@ def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
     return plan, absent
 
 
-def conditions_of(plan: Benchmark) -> list[Condition]:
-    """Conditions: clean, then, family by family, every corruption at every severity."""
-    return [
-        Condition(),
-        *(
-            Condition(kind, level, family, plan.who)
-            for family in plan.families
-            for kind in corruption_kinds(plan.corruptions, family)
-            for level in plan.severities
-        ),
-    ]
-
-
 def cases_of(plan: Benchmark) -> list[Case]:
     """Cases of a benchmark, each once."""
     return list(dict.fromkeys(_cases(plan)))
@@ -403,7 +380,7 @@ def _cases(plan: Benchmark) -> Iterator[Case]:
     trained = [(method.name, row) for method in plan.methods for row in range(len(method.detectors))]
     for dataset in plan.datasets:
         for channel in plan.channels:
-            for condition in conditions_of(plan):
+            for condition in conditions_of(plan.corruptions, plan.severities, plan.families, plan.who):
                 for name, row in trained:
                     yield Case(name, row, dataset.name, condition, channel)
     sweeps = plan.sweeps

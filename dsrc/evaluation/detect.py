@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
 from dsrc.data.sample import Sample, SampleDetector, SampleRequest, inside, make_sample
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
 from dsrc.models.channel import Receiver
-from sensors import corruptions as registry
-from sensors.corruptions import CLEAN, drive_seed
+from sensors.corruptions import Condition, drive_seed
 from sensors.frame import Frame
 from sim.errors import DataError, complaint
 from sim.radio import ChannelSpec, Link
@@ -164,10 +162,7 @@ def _ego_share(frame: Frame, sample: Sample) -> NDArray[np.float32]:
 
 def corrupted(frame: Frame, condition: Condition, seed: int) -> Frame:
     """Frame as the sensors deliver it under a condition; `seed` is the drive's."""
-    if condition.kind == CLEAN:
-        return frame
-    who = registry.parse_who(condition.who)
-    return registry.corrupt_frame(frame, condition.kind, condition.severity, seed, condition.family, who=who)
+    return condition.apply(frame, seed)
 
 
 class FrameHistory(Sequence[Frame]):

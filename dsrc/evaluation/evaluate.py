@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from dsrc.evaluation.cache import read_cell
-from dsrc.evaluation.conditions import corruption_kinds
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
 from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.figures.bars import corruption_bars
@@ -19,6 +18,7 @@ from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Evaluation
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import write_figure
+from sensors.corruptions import corruption_kinds
 from sim.errors import SettingsError, complaint
 from sim.radio import IDEAL
 

@@ -15,7 +15,7 @@ import torch
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.evaluation.cache import CellSettings, read_cell
 from dsrc.evaluation.cells import CELLS, CellJob, load_adjusted, make_cells
-from dsrc.evaluation.conditions import channel_settings, condition_settings
+from dsrc.evaluation.conditions import channel_settings
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
 from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
@@ -231,7 +231,7 @@ class _CellPlanner:
         agents = min(most, *(limit for limit in (case.agents, one.agents, most) if limit is not None))
         # The ego alone gets no message: the same through every channel.
         channel = case.spec() if agents > 1 else None
-        condition, listed = condition_settings(case.condition), None if channel is None else channel_settings(channel)
+        condition, listed = case.condition.decisive(), None if channel is None else channel_settings(channel)
         planned = []
         for reader, positions in zip(self.datasets[case.dataset], self.positions[case.dataset], strict=True):
             for start in range(0, len(positions), CHUNK):

@@ -7,9 +7,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, read_table_file
-from sensors.corruptions import CLEAN, EVERYONE, Family
+from sensors.corruptions import EVERYONE, Condition, Family
 from sim.errors import DataError, complaint
 from sim.files import write_file
 
@@ -72,7 +71,7 @@ class StoredRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     @property
     def condition(self) -> Condition:
         """Condition of the sweeps."""
-        return Condition() if self.kind == CLEAN else Condition(self.kind, self.severity, self.family, self.who)
+        return Condition.of(self.kind, self.severity, self.family, self.who)
 
 
 class StoredIndex(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

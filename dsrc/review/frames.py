@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
-from dsrc.evaluation.conditions import Condition
-from dsrc.review.sources.base import Setup, Source, condition_of
+from dsrc.review.sources.base import Setup, Source
 from dsrc.review.sources.detected import corrupted_frame
 from dsrc.review.sources.drives import DriveSource
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 from dsrc.review.sources.shares import SharedSource
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
-from sensors.corruptions import CLEAN, CORRUPTIONS
+from sensors.corruptions import CLEAN, CORRUPTIONS, Condition
 from sensors.frame import Frame
 from sim.errors import DataError, UserError, complaint
 
@@ -90,7 +89,7 @@ class FrameStore:
             return frame
         # Few corruptions and choices of agents know an ego; the others are the same for all.
         known = CORRUPTIONS.get(condition.kind)
-        of_ego = condition.who in ("ego", "helpers") or (known is not None and known.spares_ego)
+        of_ego = condition.agents in ("ego", "helpers") or (known is not None and known.spares_ego)
         ego = ego_id if of_ego else None
         return self._corrupted.get(
             (row, condition, ego),
@@ -215,7 +214,7 @@ class Recordings:
 
     def setup(self, state: ReviewState) -> Setup:
         """Setup of the detections under a state."""
-        condition = condition_of(state.corruption, state.severity, state.family, state.parameters, state.who)
+        condition = Condition.of(state.corruption, state.severity, state.family, state.who, state.parameters)
         return Setup(condition, state.ego_id, state.cooperative)
 
     def _frame(self, state: ReviewState) -> Frame:

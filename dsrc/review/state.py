@@ -5,8 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 from dsrc.options.review import ColorBy
-from dsrc.review.labs.parameters import Changes
-from sensors.corruptions import CLEAN, EVERYONE, Family
+from sensors.corruptions import CLEAN, EVERYONE, Changes, Family
 
 Camera = Literal["chase", "bev", "free"]
 

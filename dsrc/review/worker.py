@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from dsrc.evaluation.conditions import Condition
 from dsrc.review.frames import FrameStore
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet
+from sensors.corruptions import Condition
 from sim.errors import SettingsError, UserError, complaint
 
 log = logging.getLogger(__name__)

@@ -17,6 +17,7 @@ from sensors.corruptions.apply import (
     require_who,
 )
 from sensors.corruptions.check import check_corruption
+from sensors.corruptions.condition import PAPER_TABLE, Changes, Condition, conditions_of, corruption_kinds
 from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, SEVERITIES
 from sensors.corruptions.presets import PRESETS, settings_of
 from sensors.corruptions.registry import (
@@ -39,14 +40,19 @@ __all__ = [
     "EVERYONE",
     "FAMILIES",
     "PAPER_SIX",
+    "PAPER_TABLE",
     "PRESETS",
     "SEVERITIES",
+    "Changes",
+    "Condition",
     "Corruption",
     "Family",
     "Who",
     "check_corruption",
+    "conditions_of",
     "corrupt",
     "corrupt_frame",
+    "corruption_kinds",
     "corruption_rng",
     "drive_seed",
     "kinds_of",

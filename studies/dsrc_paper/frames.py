@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.data.sample import Sample, make_sample
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark
 from dsrc.evaluation.detect import corrupted, frame_positions
 from dsrc.evaluation.report.dataset_results import PAPER_SEVERITY
 from dsrc.ops.grid import GridSpec
-from sensors.corruptions import CLEAN, drive_seed
+from sensors.corruptions import Condition, drive_seed
 from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint
 from sim.geometry import invert
@@ -124,7 +123,7 @@ def read_drawn_frames(plan: Benchmark, grid: GridSpec) -> list[DrawnFrame]:
         DataError: the dataset has no frame.
     """
     kind = pictures_of(plan).corruption
-    condition = Condition(kind, 0 if kind == CLEAN else PAPER_SEVERITY, plan.families[0], plan.who)
+    condition = Condition.of(kind, PAPER_SEVERITY, plan.families[0], plan.who)
     chosen = []
     for percentile, reader, position in frames_at(plan, grid):
         name = reader.drive.name

@@ -46,7 +46,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         assert (PAGE.with_suffix("") / folder / "report.md").read_text(encoding="utf-8") == markdown(result)
         shipped = tuple(msgspec.structs.replace(one, checkpoint="") for one in result.plan.perceptions)
         jobs = episodes_of(msgspec.structs.replace(result.plan, perceptions=shipped))
-        planned = {(job.scenario, job.seed, job.perception, job.condition["kind"]) for job in jobs}
+        planned = {(job.scenario, job.seed, job.perception, job.condition.kind) for job in jobs}
         assert {(one.scenario, one.seed, one.perception, one.corruption) for one in result.results} == planned
 
 

@@ -19,7 +19,7 @@ from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.metrics.episode import episode_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Driver, Perception
-from sensors.corruptions import CLEAN
+from sensors.corruptions import CLEAN, Condition
 from sim.boxes import CLASSES
 from sim.files import write_file
 from sim.scenario import Scenario
@@ -39,8 +39,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
         uses: `truth`, `sight`, `ego`, `team`, `late`, `model` or `module:Class`.
         checkpoint: detector file or error model; "" for the shipped one, or without one.
         detector: SHA-256 of the detector file, error model or module; "" without one.
-        condition: kind, severity, family and settings of the corruption.
-        who: agents whose sensors are corrupted.
+        condition: of the sweeps.
         channel: name of the channel.
         radio: settings of the channel.
         seed: of the episode.
@@ -58,8 +57,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
     uses: str
     checkpoint: str
     detector: str
-    condition: dict[str, Any]
-    who: str
+    condition: Condition
     channel: str
     radio: dict[str, Any]
     seed: int
@@ -151,18 +149,14 @@ def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = 
         perception=job.uses,
         detector=job.detector,
         driver=job.driver,
-        corruption=condition["kind"],
-        severity=_severity(condition),
-        family=condition["family"],
-        who=job.who,
+        corruption=condition.kind,
+        severity=condition.severity,
+        family=condition.family,
+        who=condition.agents_text,
         channel=job.channel,
         engine=job.engine,
         versions=job.versions,
     )
-
-
-def _severity(condition: dict[str, Any]) -> int:
-    return 0 if condition["kind"] == CLEAN else condition["severity"]
 
 
 def probe_s(job: EpisodeJob, steps: int = 4) -> float:
@@ -189,10 +183,10 @@ def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
     return EpisodeResult(
         scenario=job.scenario,
         perception=job.perception,
-        corruption=condition["kind"],
-        severity=_severity(condition),
-        family="" if condition["kind"] == CLEAN else condition["family"],
-        who=job.who,
+        corruption=condition.kind,
+        severity=condition.severity,
+        family="" if condition.kind == CLEAN else condition.family,
+        who=condition.agents_text,
         channel=job.channel,
         seed=job.seed,
         road_user=road_user,
@@ -205,15 +199,11 @@ def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
 
 
 def _perception(job: EpisodeJob) -> Perception:
-    condition = job.condition
     return _opened(
         job.uses,
         job.checkpoint,
         job.detector,
-        condition["kind"],
-        condition["severity"],
-        condition["family"],
-        job.who,
+        job.condition,
         job.channel,
         job.loop.detect_every_s,
         job.loop.look_ahead_s,
@@ -226,10 +216,7 @@ def _opened(
     uses: str,
     checkpoint: str,
     _detector: str,  # another file under the same name is opened anew
-    corruption: str,
-    severity: int,
-    family: str,
-    who: str,
+    condition: Condition,
     channel: str,
     interval_s: float,
     look_ahead_s: float,
@@ -238,10 +225,7 @@ def _opened(
     return open_perception(
         uses,
         checkpoint=Path(checkpoint) if checkpoint else None,
-        corruption=corruption,
-        severity=severity,
-        family=family,  # type: ignore[arg-type]
-        who=who,
+        corruption=condition,
         channel=channel,
         interval_s=interval_s,
         look_ahead_s=look_ahead_s,

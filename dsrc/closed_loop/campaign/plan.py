@@ -43,10 +43,10 @@ from dsrc.closed_loop.perception.open import (
     parse_perception,
     source_hash,
 )
-from dsrc.evaluation.conditions import PAPER_TABLE, Condition, channel_settings, condition_settings, corruption_kinds
+from dsrc.evaluation.conditions import channel_settings
 from dsrc.options.detection import Engine
 from dsrc.options.driving import DriveOptions
-from sensors.corruptions import CLEAN, Family, parse_who, require_who
+from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.catalog.load import load_scenario
 from sim.encounters import ENCOUNTERS
 from sim.errors import SettingsError, complaint, option
@@ -125,13 +125,13 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     @property
     def conditions(self) -> list[Condition]:
         """Clean, then every corruption at every severity."""
-        kinds = [kind for kind in corruption_kinds(self.corruptions, self.family, "campaign") if kind != CLEAN]
-        return [Condition(), *(Condition(kind, s, self.family) for kind in kinds for s in self.severities)]
+        return conditions_of(self.corruptions, self.severities, (self.family,), self.who, "campaign")
 
 
 def key_of(job: EpisodeJob) -> str:
     """Return the name of an episode's cell: a hash of what decides it, without names and paths."""
-    decisive = msgspec.to_builtins(job)
+    condition = job.condition.decisive()
+    decisive = msgspec.to_builtins(job) | {"who": condition.pop("who", EVERYONE), "condition": condition}
     for name in ("scenario", "perception", "checkpoint", "channel"):
         del decisive[name]
     return hashlib.sha256(msgspec.json.encode(decisive, order="deterministic")).hexdigest()[:32]
@@ -276,10 +276,7 @@ def check(plan: Campaign, where: str) -> None:
         if not one.name.strip() or set("|\n") & set(one.name):
             expected = "a name, without | and line ends"
             raise SettingsError(complaint(where, "perceptions.name", expected, f"'{one.name}'"))
-    corruption_kinds(plan.corruptions, plan.family, where)
-    who = parse_who(plan.who)
-    for condition in plan.conditions:
-        require_who(condition.kind, who)
+    conditions_of(plan.corruptions, plan.severities, (plan.family,), plan.who, where)
     if plan.loop.look_ahead_s and not any(_has_detector(one) for one in plan.perceptions):
         expected = f"0 with perception '{plan.perceptions[0].name}', which has no detector whose range could be shifted"
         raise SettingsError(complaint(where, "look_ahead_s", expected, f"{plan.loop.look_ahead_s:g}"))
@@ -299,10 +296,7 @@ def check(plan: Campaign, where: str) -> None:
                     open_perception(
                         MODELLED,
                         checkpoint=Path(one.checkpoint) if one.checkpoint else None,
-                        corruption=condition.kind,
-                        severity=condition.severity,
-                        family=condition.family,
-                        who=plan.who if condition.kind != CLEAN else "all",
+                        corruption=condition,
                         channel=channel,
                     )
 
@@ -332,8 +326,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                             uses=one.kind,
                             checkpoint=one.checkpoint,
                             detector=hashes[one.name],
-                            condition=condition_settings(condition),
-                            who=plan.who if condition.kind != CLEAN else "all",
+                            condition=condition,
                             channel=channel,
                             radio=radios[channel],
                             seed=seed,

@@ -37,7 +37,7 @@ from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.tables.files import csv_text
-from sensors.corruptions import CLEAN, DEFAULT_SEVERITY
+from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Condition
 from sim.errors import DataError, SettingsError, UserError, complaint, option
 from sim.files import write_file
 from sim.machine import core_count
@@ -321,18 +321,21 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
         for field in ("severity", "who", "family"):
             if getattr(options, field):
                 raise SettingsError(f"drive: {option(field)} says how sensors are corrupted; add --corruption")
+    severity = (options.severity or (settings.severity or DEFAULT_SEVERITY,))[0]
+    condition = Condition.of(
+        corruption,
+        severity,
+        options.family or settings.family,
+        options.who or settings.who,  # type: ignore[arg-type]
+    )
     used: dict[str, Any] = {
-        "corruption": corruption,
-        "family": options.family or settings.family,
-        "who": options.who or ("all" if corruption == CLEAN else settings.who),
         "channel": (options.channel or (IDEAL if asked else settings.channel,))[0],
         "engine": options.engine or settings.engine,
     }
-    severity = (options.severity or (settings.severity or DEFAULT_SEVERITY,))[0]
     perception = open_perception(
         uses,
         checkpoint=options.checkpoint,
-        severity=severity,
+        corruption=condition,
         interval_s=settings.loop.get("detect_every_s", settings.scenario.step_s),
         look_ahead_s=settings.loop.get("look_ahead_s", 0.0) if options.look_ahead_s is None else options.look_ahead_s,
         **used,
@@ -344,6 +347,13 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
         used["detector"] = detector_hash(asked_for.kind, asked_for.file or str(options.checkpoint or ""))
     if options.look_ahead_s is not None:
         used["loop"] = settings.loop | {"look_ahead_s": options.look_ahead_s}
-    severity = 0 if corruption == CLEAN else severity
-    again.settings = msgspec.structs.replace(again.settings, severity=severity, driver=driver, **used)
+    again.settings = msgspec.structs.replace(
+        again.settings,
+        corruption=condition.kind,
+        severity=condition.severity,
+        family=condition.family,
+        who=condition.agents_text,
+        driver=driver,
+        **used,
+    )
     return former, again

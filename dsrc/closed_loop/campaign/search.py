@@ -15,7 +15,7 @@ from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR, open_perception
 from dsrc.closed_loop.types import Outcome, Perception
 from dsrc.tables.table import Column, Table, TableRow
-from sensors.corruptions import CLEAN, SEVERITIES
+from sensors.corruptions import CLEAN, SEVERITIES, Condition
 from sim.errors import SettingsError, complaint, option
 from sim.radio import get_channel
 
@@ -151,10 +151,7 @@ def _perception(plan: Campaign, one: PerceptionSpec, kind: str, quantity: Quanti
     return open_perception(
         one.kind,
         checkpoint=Path(one.checkpoint) if one.checkpoint else None,
-        corruption=kind if severity else CLEAN,
-        severity=max(severity, 1),
-        family=plan.family,
-        who=plan.who if severity else "all",
+        corruption=Condition.of(kind if severity else CLEAN, severity, plan.family, plan.who),
         channel=radio,
         interval_s=plan.loop.detect_every_s,
         look_ahead_s=plan.loop.look_ahead_s,

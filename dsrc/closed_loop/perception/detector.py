@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from dsrc.closed_loop.perception.senses import Faults, Senses
+from dsrc.closed_loop.perception.senses import Senses
 from dsrc.closed_loop.types import Percept
 from dsrc.data.sample import Sample, SampleDetector, make_sample
 from dsrc.models.channel import Receiver
 from dsrc.models.threads import one_thread
 from dsrc.ops.detections import Detections
+from sensors.corruptions import Condition
 from sensors.frame import Frame
 from sensors.recording.encounter_check import BRAKING_MPS2
 from sim.boxes import VEHICLES, Boxes
@@ -42,13 +43,13 @@ class DetectorPerception:
         detector: SampleDetector,
         *,
         cooperative: bool = True,
-        faults: Faults | None = None,
+        condition: Condition | None = None,
         channel: ChannelSpec = PRESETS[IDEAL],
         interval_s: float = 0.1,
         look_ahead_s: float = 0.0,
     ) -> None:
         self.detector, self.cooperative, self.channel = detector, cooperative, channel
-        self.senses = Senses(faults or Faults(), cooperative)
+        self.senses = Senses(condition or Condition(), cooperative)
         if not (math.isfinite(look_ahead_s) and look_ahead_s >= 0.0):
             raise SettingsError(complaint("perception", "look_ahead_s", "seconds >= 0", f"{look_ahead_s:g}"))
         if look_ahead_s and getattr(detector.settings, "own_frame", False):

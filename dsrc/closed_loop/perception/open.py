@@ -11,11 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
-from dsrc.closed_loop.perception.senses import Faults
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Perception
 from dsrc.data.sample import DetectorSettings, SampleDetector, SampleRequest
-from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Family, Who, parse_who
+from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, Family, Who
 from sim.boxes import CLASSES, VEHICLES
 from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
 from sim.kept.code_hash import sources_hash
@@ -48,15 +47,16 @@ def open_perception(
     text: str,
     *,
     checkpoint: Path | None = None,
-    corruption: str = CLEAN,
+    corruption: str | Condition = CLEAN,
     severity: int = DEFAULT_SEVERITY,
     family: Family = "physical",
-    who: Who | str = EVERYONE,
+    corrupted_agents: Who | str = EVERYONE,
     channel: str | ChannelSpec = IDEAL,
     interval_s: float = 0.1,
     look_ahead_s: float = 0.0,
     engine: str = "fused",
     device: Literal["cpu", "cuda"] = "cpu",
+    who: Who | str | None = None,
 ) -> Perception:
     """Return a perception by name.
 
@@ -73,39 +73,42 @@ def open_perception(
               `classes` names what it detects: by default a detector vehicles, a perception everything. Modules of the
               current folder are found.
         checkpoint: detector file of `ego`, `team` and `late`; None for the shipped one.
-        corruption: kind or `clean`.
-        severity: 1 to 5; any for `clean`.
-        family: of the corruption's settings.
-        who: agents whose sweeps are corrupted: `all`, `ego`, `helpers`, or ids.
+        corruption: condition of the sweeps, or the kind of it, or `clean`.
+        severity: 1 to 5 of a kind; any for `clean`.
+        family: of a kind.
+        corrupted_agents: agents whose sweeps a kind corrupts: `all`, `ego`, `helpers`, or ids.
         channel: name or settings of the radio channel; it does not matter without helpers.
         interval_s: time between percepts, s.
         look_ahead_s: shift of a detector's range, see `LoopSettings`.
         engine: execution of the network, see `dsrc.models.storage.deploy.ENGINES`.
         device: of the network.
+        who: former name of `corrupted_agents`.
 
     Raises:
         SettingsError: an unknown name, corruption or channel, a setting of something that the perception has not, or a
             class that does not load.
         CheckpointError: the detector file is missing or wrong, or its fusion has weights that `late` cannot have.
     """
+    if who is not None:
+        warn_deprecated("who", "corrupted_agents")
     _, name, file = parse_perception(text)
     radio = get_channel(channel) if isinstance(channel, str) else channel
-    faults = Faults(
-        corruption=corruption, severity=severity, family=family, who=parse_who(who) if isinstance(who, str) else who
-    )
-    faults.check()
+    condition = corruption
+    if isinstance(condition, str):
+        condition = Condition.of(condition, severity, family, who if who is not None else corrupted_agents)
+    corrupted = condition.checked().kind != CLEAN
     if name in WITHOUT_SENSOR:
-        given = {"corruption": corruption != CLEAN, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
+        given = {"corruption": corrupted, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
         _refuse(text, "a sensor", given)
         return TruthPerception() if name == "truth" else SightPerception()
     if name == MODELLED:
-        return _modelled(text, Path(file) if file else checkpoint, faults, channel)
+        return _modelled(text, Path(file) if file else checkpoint, condition, channel)
     detector: Any
     if ":" in name:
         _refuse(text, "a checkpoint", {"checkpoint": checkpoint is not None})
         detector = _own(name)
         if hasattr(detector, "perceive"):
-            _refuse(text, "a detector", {"corruption": corruption != CLEAN, "channel": radio != _IDEAL})
+            _refuse(text, "a detector", {"corruption": corrupted, "channel": radio != _IDEAL})
             return cast(Perception, detector)
     else:
         if file and checkpoint is not None:
@@ -122,7 +125,7 @@ def open_perception(
     return DetectorPerception(
         cast(SampleDetector, detector),
         cooperative=cooperative,
-        faults=faults,
+        condition=condition,
         channel=spec,
         interval_s=interval_s,
         look_ahead_s=look_ahead_s,
@@ -188,7 +191,7 @@ def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
             raise SettingsError(f"perception: '{text}' is without {what}; leave out --{field}")
 
 
-def _modelled(text: str, file: Path | None, faults: Faults, channel: str | ChannelSpec) -> Perception:
+def _modelled(text: str, file: Path | None, condition: Condition, channel: str | ChannelSpec) -> Perception:
     from dsrc.closed_loop.perception.error_model.model import read_model
     from dsrc.closed_loop.perception.error_model.perception import ModelPerception
 
@@ -197,9 +200,7 @@ def _modelled(text: str, file: Path | None, faults: Faults, channel: str | Chann
     if not isinstance(channel, str):
         raise SettingsError(complaint("perception", "channel", f"a name with '{text}'", "settings"))
     model = read_model(file)
-    who = faults.who if isinstance(faults.who, str) else ",".join(map(str, faults.who))
-    condition = (faults.corruption, faults.severity, faults.family, who, channel)
-    return ModelPerception(model, model.errors(file, condition))
+    return ModelPerception(model, model.errors(file, condition, channel))
 
 
 def _loaded(path: Path, device: str, engine: str, late: bool) -> SampleDetector:

@@ -8,47 +8,14 @@ one that leaves is not replaced.
 from collections import deque
 from collections.abc import Mapping
 
-import msgspec
-
 from dsrc.closed_loop.kept import world_scene
 from dsrc.closed_loop.perception.liars import false_actors
-from sensors.corruptions import (
-    CLEAN,
-    DEFAULT_SEVERITY,
-    EVERYONE,
-    Family,
-    Who,
-    corrupt_frame,
-    require_corruption,
-    require_who,
-)
+from sensors.corruptions import Condition
 from sensors.frame import Frame
 from sensors.recording.rig import Rig
 from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
-
-
-class Faults(msgspec.Struct, frozen=True, kw_only=True):
-    """Corruption of the sweeps of an episode.
-
-    Attributes:
-        corruption: kind, or `clean`.
-        severity: 1 to 5.
-        family: of the corruption's settings.
-        who: agents whose sweeps are corrupted.
-    """
-
-    corruption: str = CLEAN
-    severity: int = DEFAULT_SEVERITY
-    family: Family = "physical"
-    who: Who = EVERYONE
-
-    def check(self) -> None:
-        """Raise SettingsError for an unknown corruption or family, or one that `who` cannot have."""
-        if self.corruption != CLEAN:
-            require_corruption(self.corruption, self.severity, self.family)
-        require_who(self.corruption, self.who)
 
 
 class Senses:
@@ -62,8 +29,8 @@ class Senses:
         cooperative: False leaves the ego alone.
     """
 
-    def __init__(self, faults: Faults, cooperative: bool) -> None:
-        self.faults, self.cooperative = faults, cooperative
+    def __init__(self, condition: Condition, cooperative: bool) -> None:
+        self.condition, self.cooperative = condition, cooperative
         self.agents: tuple[int, ...] = ()
         self.index = 0
         self._rig: Rig | None = None
@@ -83,7 +50,7 @@ class Senses:
 
         Raises:
             RuntimeError: no episode has begun.
-            SettingsError: an id of `who` is no agent.
+            SettingsError: a corrupted agent's id is no agent.
             DataError: a sweep lacks what the corruption needs.
         """
         if self._rig is None:
@@ -92,25 +59,18 @@ class Senses:
             self._steps.append(before)
             carriers = self._rig.carriers(before, self._ego_id)
             self.agents = (*carriers, *self._rig.roadside) if self.cooperative else (self._ego_id,)
-            self._check_who()
+            self._check_agents()
         self._steps.append(now)
         self.index += 1
         oldest = self._steps[0] if len(self._steps) == self._steps.maxlen else before
         present = [agent for agent in self.agents if agent < 0 or agent in now.boxes.object_id]
         lies = false_actors(claims, now, present[1:])
         frame = self._rig.frame(self.index, present, now, oldest, only_for=lies)
-        faults, who = self.faults, self.faults.who
-        if not isinstance(who, str):
-            who = tuple(agent for agent in who if agent in present)
-        if faults.corruption == CLEAN or not who:
-            return frame
-        return corrupt_frame(
-            frame, faults.corruption, faults.severity, self._rig.seed, faults.family, ego_id=self._ego_id, who=who
-        )
+        return self.condition.among(present).apply(frame, self._rig.seed, self._ego_id)
 
-    def _check_who(self) -> None:
-        who = self.faults.who
-        unknown = [] if isinstance(who, str) or not self.cooperative else [one for one in who if one not in self.agents]
+    def _check_agents(self) -> None:
+        named = self.condition.agents
+        unknown = [] if isinstance(named, str) or not self.cooperative else [i for i in named if i not in self.agents]
         if unknown:
             expected = f"ids among the agents {list(self.agents)}"
-            raise SettingsError(complaint("perception", "who", expected, unknown[0]))
+            raise SettingsError(complaint("perception", "corrupted_agents", expected, unknown[0]))

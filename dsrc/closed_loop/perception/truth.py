@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.perception.senses import Faults, Senses
+from dsrc.closed_loop.perception.senses import Senses
 from dsrc.closed_loop.types import Percept
+from sensors.corruptions import Condition
 from sensors.recording.encounter_check import UNSEEN_POINTS
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
@@ -47,7 +48,7 @@ class SightPerception(TruthPerception):
     def __init__(self, reach_m: float = REACH_M, least_points: int = UNSEEN_POINTS) -> None:
         super().__init__(reach_m)
         self.least_points = least_points
-        self._senses = Senses(Faults(), cooperative=False)
+        self._senses = Senses(Condition(), cooperative=False)
 
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dsrc.data.clouds.files import is_scan
 from dsrc.data.datasets.corrupt_scans import corrupt_scans
-from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_settings
+from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_condition
 from dsrc.data.drive_folder import check_same, is_complete, read_settings, write_protocol
 from dsrc.data.drives import Drive, find_drives, open_drive, path_below
 from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
@@ -21,15 +21,7 @@ from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
 from dsrc.runs.jobs import run_jobs
 from dsrc.runs.lock import locked
-from sensors.corruptions import (
-    CLEAN,
-    CORRUPTIONS,
-    DEFAULT_SEVERITY,
-    EVERYONE,
-    corrupt_frame,
-    parse_who,
-    require_who,
-)
+from sensors.corruptions import CLEAN, CORRUPTIONS, corrupt_frame
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import remove_leftovers
@@ -58,8 +50,7 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
     """
     if options.corruption == CLEAN:
         raise SettingsError(complaint("corrupt", "corruption", f"one of {', '.join(CORRUPTIONS)}", CLEAN))
-    run_settings(options)  # a wrong one is told before the work
-    require_who(options.corruption, parse_who(options.who))
+    run_condition(options)  # a wrong one is told before the work
     if options.seed < 0:
         raise SettingsError(complaint("corrupt", "seed", "at least 0", options.seed))
     data, out = Path(options.data).resolve(), Path(options.out).resolve()
@@ -117,10 +108,7 @@ def corrupted(job: CorruptionJob, reader: Drive, i: int) -> Frame:
     # The number of the file is that of the random stream and of the new file.
     frame, options = replace(reader.read(i), index=reader.frames[i]), job.options
     try:
-        who = parse_who(options.who)
-        family, settings = run_settings(options)
-        words = options.corruption, DEFAULT_SEVERITY, job.drive_seed, family
-        return corrupt_frame(frame, *words, who=who, settings=settings)
+        return run_condition(options).apply(frame, job.drive_seed)
     except DataError as error:
         raise DataError(f"{job.source}: {error}") from None
 
@@ -138,8 +126,8 @@ def _protocol(job: CorruptionJob, reader: Drive) -> dict:
         "drive_seed": job.drive_seed,
         "source": {"drive": job.source.name, "sha256": reader.digest()},
     }
-    if job.options.who != EVERYONE:
-        entry["who"] = job.options.who
+    if "who" in entry:
+        entry["who"] = entry.pop("who")  # the last one, as in files of earlier versions
     own = own_settings(reader.protocol)
     if not own:
         return {"testbed": {"frames": len(reader), "corruptions": [entry]}}

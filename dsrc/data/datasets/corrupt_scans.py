@@ -28,7 +28,7 @@ from dsrc.data.clouds.files import (
     scans_below,
     vehicles_among,
 )
-from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_settings
+from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_condition
 from dsrc.data.drive_folder import check_same
 from dsrc.data.jsonio import read_json
 from dsrc.options.drives import CorruptOptions
@@ -129,16 +129,16 @@ def _corrupted(job: CorruptionJob) -> dict[Path, bytes]:
     boxes = kitti_boxes(job.source) if labels is None and CORRUPTIONS[options.corruption].of_objects else None
     name = options.sensor or scan.sensor
     index, time_s = frame_number(job.source)
-    family, settings = run_settings(options)
+    condition = run_condition(options)
     try:
         after = corrupt_sweep(
             scan.cloud.sweep(
                 None if name is None else get_lidar(name), None if labels is None else vehicles_among(labels)
             ),
             options.corruption,
-            settings,
+            condition.resolved(),
             job.drive_seed,
-            family=family,
+            family=condition.family,
             boxes=boxes,
             labelled=labels is not None,
             index=index,

@@ -1,6 +1,5 @@
 """What the corruptions of drives and of scans share: job, settings, and the entry in what is written."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,9 +7,7 @@ from typing import Any
 import msgspec
 
 from dsrc.options.drives import CorruptOptions
-from sensors.corruptions import DEFAULT_SEVERITY, Family, drive_seed, settings_of
-from sim.errors import SettingsError, complaint, did_you_mean, one_line
-from sim.settings import convert
+from sensors.corruptions import DEFAULT_SEVERITY, EVERYONE, Condition, drive_seed, parse_who, settings_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,44 +38,37 @@ def corruption_entry(options: CorruptOptions, code: str) -> dict[str, Any]:
     Args:
         code: hash of the code that corrupts.
     """
-    family, settings = run_settings(options)
-    severity = DEFAULT_SEVERITY if options.severity is None else options.severity
+    condition = run_condition(options)
     return {
-        "kind": options.corruption,
-        **({"severity": severity} if options.preset is None else {"preset": options.preset}),
-        "family": family,
+        "kind": condition.kind,
+        **({"severity": condition.severity} if condition.preset is None else {"preset": condition.preset}),
+        "family": condition.family,
         "seed": options.seed,
-        "settings": msgspec.to_builtins(settings),
+        "settings": msgspec.to_builtins(condition.resolved()),
         "code": code,
+        **({} if condition.agents == EVERYONE else {"who": condition.agents_text}),
     }
 
 
-def run_settings(options: CorruptOptions) -> tuple[Family, Any]:
-    """Return family and settings of the corruption of a run.
+def run_condition(options: CorruptOptions) -> Condition:
+    """Return the condition of a run.
 
     Raises:
-        SettingsError: an unknown kind, severity, family or preset, two of these that exclude each other, or a wrong
-            change of a setting.
+        SettingsError: an unknown kind, severity, family or preset, two of these that exclude each other, agents that
+            the kind cannot corrupt, or a wrong change of a setting.
     """
-    family, settings = settings_of(options.corruption, options.severity, options.family, options.preset)
-    return family, changed_settings(settings, options.set)
+    family, _ = settings_of(options.corruption, options.severity, options.family, options.preset)
+    level = DEFAULT_SEVERITY if options.severity is None else options.severity
+    changes = tuple(map(_change, options.set))
+    made = Condition(options.corruption, level, family, parse_who(options.who), changes, options.preset)
+    made.resolved("corrupt: set")
+    return made.checked()
 
 
-def changed_settings(settings: object, changes: Sequence[str]) -> Any:
-    """Return settings of a corruption with values changed by `field=value`.
-
-    Raises:
-        SettingsError: an unknown field, or a value of another type or out of its range.
-    """
-    known = getattr(settings, "__struct_fields__", ())
-    plain = {name: getattr(settings, name) for name in known}
-    for change in changes:
-        name, _, value = change.partition("=")
-        if name not in known:
-            found, hint = one_line(name, 80), did_you_mean(name[:80], known)
-            raise SettingsError(complaint("corrupt", "set", f"a setting of {type(settings).__name__}", found, hint))
-        try:
-            plain[name] = msgspec.json.decode(value)
-        except (msgspec.DecodeError, RecursionError):
-            plain[name] = value
-    return convert(plain, type(settings), "corrupt: set", SettingsError) if changes else settings
+def _change(text: str) -> tuple[str, Any]:
+    """Return name and value of `field=value`; a value that is no JSON is a text."""
+    name, _, value = text.partition("=")
+    try:
+        return name, msgspec.json.decode(value)
+    except (msgspec.DecodeError, RecursionError):
+        return name, value

@@ -113,7 +113,7 @@ def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, Tr
             kind=condition.kind,
             severity=condition.severity,
             family=condition.family,
-            who=condition.who,
+            who=condition.agents_text,
             channel=case.channel,
             swept=", ".join(f"{name} {getattr(case, name):g}" for name in _SWEPT[1:] if getattr(case, name)),
             detector=one.sha256,

@@ -8,7 +8,7 @@ import msgspec
 
 from dsrc.data.drives import Drive, drive_hashes, list_drives, open_drive
 from dsrc.evaluation.cells import CellJob
-from dsrc.evaluation.conditions import Condition, channel_settings, check_numbers, condition_settings, corruption_kinds
+from dsrc.evaluation.conditions import channel_settings, check_numbers
 from dsrc.evaluation.detect import frame_positions
 from dsrc.evaluation.runner import check_device
 from dsrc.evaluation.sharing.cells import SHARES, ShareRow, ShareSettings, make_share_cells, read_share_cell
@@ -21,7 +21,7 @@ from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.runs.provenance import provenance
 from dsrc.runs.study import reuse_entry
-from sensors.corruptions import parse_who
+from sensors.corruptions import Condition, conditions_of
 from sim.errors import DataError, complaint
 from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, versions_with
@@ -44,12 +44,10 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
     Raises:
         UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
     """
-    check_numbers("shares", (config.severity,), config.seed, config.limit)
+    check_numbers("shares", config.seed, config.limit)
     check_iou(config.iou)
     check_device("shares", config.device)
-    parse_who(config.who)
-    kinds = corruption_kinds(config.corruptions, config.family, "shares")
-    conditions = [Condition(), *(Condition(kind, config.severity, config.family, config.who) for kind in kinds)]
+    conditions = conditions_of(config.corruptions, (config.severity,), (config.family,), config.who, "shares")
     detector = load_student(config.checkpoint, config.device, config.engine)  # a wrong one before anything is written
     readers = [open_drive(path) for path in list_drives(config.data)]
     names = [reader.drive.name for reader in readers]
@@ -96,7 +94,7 @@ def _jobs(
                 engine=config.engine,
                 versions=versions_with(make_share_cells.__module__, fusion),
                 code=code_hash(make_share_cells.__module__),
-                condition=condition_settings(condition),
+                condition=condition.decisive(),
                 channel=None if channel is None else channel_settings(channel),
                 iou=config.iou,
             )

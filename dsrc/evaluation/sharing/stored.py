@@ -7,9 +7,8 @@ import msgspec
 from msgspec import Meta
 
 from dsrc.data.jsonio import read_json
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.stored import StoredDrive
-from sensors.corruptions import CLEAN, EVERYONE, Family
+from sensors.corruptions import EVERYONE, Condition, Family
 
 FILE = "shares.json"
 
@@ -89,7 +88,7 @@ class StoredShares(msgspec.Struct, frozen=True):
     def condition(self, kind: str) -> Condition:
         """Condition of a kind of corruption."""
         own = self.provenance.settings
-        return Condition() if kind == CLEAN else Condition(kind, own.severity, own.family, own.who)
+        return Condition.of(kind, own.severity, own.family, own.who)
 
 
 def read_shares(folder: Path) -> StoredShares:

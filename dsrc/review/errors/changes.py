@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from dsrc.review.errors.filters import ErrorFilter
 from dsrc.review.errors.judged import JudgedRun
-from dsrc.review.sources.base import condition_title
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +93,7 @@ def _titles(before: JudgedRun, after: JudgedRun) -> tuple[str, str]:
     titles = []
     for run in (before, after):
         alone = "" if run.setup.cooperative or before.setup.cooperative == after.setup.cooperative else ", ego alone"
-        condition = condition_title(run.setup.condition)
+        condition = run.setup.condition.label
         if before.setup.condition == after.setup.condition:
             titles.append(f"{run.method}{alone}")
         elif before.method == after.method:

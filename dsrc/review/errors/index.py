@@ -12,7 +12,7 @@ from dsrc.evaluation.metrics.ap import Curve
 from dsrc.review.errors.filters import ANY, FN, FP, KINDS, POOR, ErrorFilter
 from dsrc.review.errors.judged import UNKNOWN, JudgedRun
 from dsrc.review.matching import Counts
-from dsrc.review.sources.base import Setup, condition_title
+from dsrc.review.sources.base import Setup
 from sim.rows import Rows
 
 POOR_IOU = 0.7
@@ -145,7 +145,7 @@ class ErrorIndex:
         tables = [_columns(run, number, threshold, iou, poor_iou, only) for number, run in runs]
         columns: dict[str, Any] = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
         setups = tuple(run.setup for run in self.runs.values())
-        conditions = tuple(condition_title(setup.condition) for setup in setups)
+        conditions = tuple(setup.condition.label for setup in setups)
         return ErrorTable(**columns, methods=tuple(names), conditions=conditions, setups=setups).worst_first()
 
     def counts(self, threshold: float, iou: float, only: ErrorFilter | None = None) -> dict[str, Counts]:

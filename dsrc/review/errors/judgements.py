@@ -13,8 +13,8 @@ from dsrc.review.errors.index import ErrorIndex
 from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.frames import LatestUsed, Recordings
 from dsrc.review.matching import Counts, RankedMatches, match
-from dsrc.review.sources.base import DetectionSet, Setup, Source, condition_title
-from dsrc.review.sources.detected import ComputedSet, present_agents
+from dsrc.review.sources.base import DetectionSet, Setup, Source
+from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import ReviewState
 from sensors.frame import Frame
 from sim.boxes import Boxes
@@ -136,19 +136,19 @@ class Judgements(Recordings):
     def _absent(self, state: ReviewState, frame: Frame) -> str:
         """Why a corruption changes nothing: whom it is of is not here."""
         condition = self.setup(state).condition
-        if present_agents(frame, condition.who):
+        if condition.among([agent.agent_id for agent in frame.agents]).kind == condition.kind:
             return ""
-        return f"{condition_title(condition)}: no such agent in this frame, its sweeps are as recorded."
+        return f"{condition.label}: no such agent in this frame, its sweeps are as recorded."
 
     def _notice(self, state: ReviewState, method: str) -> str:
         """Explanation of missing detections."""
         if not method:
             return ""
         condition = self.setup(state).condition
-        title = condition_title(condition)
+        title = condition.label
         known = self.sources[state.drive].sets[method].conditions()
         if known is not None and condition not in known:
-            return f"{method} has no detections in {title}; it has them in {', '.join(map(condition_title, known))}."
+            return f"{method} has no detections in {title}; it has them in {', '.join(one.label for one in known)}."
         return f"{method} has no detections in this frame of this ego in {title}."
 
     def _seen(self, state: ReviewState) -> tuple[Counts, int]:

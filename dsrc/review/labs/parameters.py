@@ -10,27 +10,11 @@ from typing import Any, Literal
 
 import msgspec
 
-from dsrc.evaluation.conditions import Condition
-from sensors.corruptions import CLEAN, CORRUPTIONS, Family
+from sensors.corruptions import CLEAN, CORRUPTIONS, Changes, Family
 from sensors.corruptions.physics.levels import SEVERITIES
 from sim.errors import SettingsError, complaint, did_you_mean
-from sim.settings import convert
 
 Value = bool | int | float | str
-
-Changes = tuple[tuple[str, Value], ...]
-"""Parameters that differ from those of the severity, by name."""
-
-
-@dataclass(frozen=True, slots=True)
-class TunedCondition(Condition):
-    """Condition whose corruption has parameters of its own.
-
-    Attributes:
-        changes: parameters that differ from those of the severity, at least one.
-    """
-
-    changes: Changes = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,23 +106,6 @@ def _round_step(span: float) -> float:
     fine = span / 250.0
     power = 10.0 ** math.floor(math.log10(fine))
     return power * next(factor for factor in (1, 2, 5, 10) if factor * power >= fine * (1.0 - 1e-9))
-
-
-def tuned_settings(condition: TunedCondition) -> Any:
-    """Settings of a condition, its changes included.
-
-    Raises:
-        SettingsError: the corruption has no such parameter, or a value is not one of its values.
-    """
-    settings = CORRUPTIONS[condition.kind].settings_of(condition.family).severity(condition.severity)
-    where = f"corruption '{condition.kind}'"
-    known = [parameter.name for parameter in parameters_of(condition.kind, condition.severity, condition.family)]
-    for name, _ in condition.changes:
-        if name not in known:
-            expected = f"one of {', '.join(known)}" if known else "no parameter"
-            raise SettingsError(complaint(where, "parameters", expected, name, did_you_mean(name, known)))
-    tuned = {**msgspec.structs.asdict(settings), **dict(condition.changes)}
-    return convert(tuned, type(settings), where, SettingsError)
 
 
 def changed(changes: Changes, name: str, value: Value, known: Sequence[Parameter]) -> Changes:

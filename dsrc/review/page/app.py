@@ -25,7 +25,7 @@ from dsrc.review.sources.live import LiveSource
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, load_bodies
 from dsrc.review.worker import Worker
-from sensors.corruptions import parse_who, require_corruption, require_who
+from sensors.corruptions import Condition
 from sim.errors import SettingsError, UserError, complaint
 
 if TYPE_CHECKING:
@@ -231,8 +231,7 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
         SettingsError: the corruption or the frame is unknown, or the port taken.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    require_corruption(options.corruption, options.severity, options.family)
-    require_who(options.corruption, parse_who(options.who))
+    Condition.of(options.corruption, options.severity, options.family, options.who).checked()
     port = checked_port(options.host, options.port)
     model = open_model(options.data, options.checkpoint, options.drives)
     start = first_state(model, options)

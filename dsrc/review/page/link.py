@@ -8,19 +8,16 @@ from urllib.parse import parse_qsl, quote
 import numpy as np
 
 from dsrc.review.labs.parameters import (
-    Changes,
-    TunedCondition,
     changed,
     parameters_of,
     parse_change,
-    tuned_settings,
 )
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
-from sensors.corruptions import CLEAN, parse_who
+from sensors.corruptions import CLEAN, Changes, Condition, parse_who
 from sim.errors import SettingsError, complaint
 
 VIEW = "view"
@@ -164,7 +161,7 @@ def _parameters(text: str, state: ReviewState) -> Changes:
     for part in text.split(","):
         changes = changed(changes, *parse_change(part, known, "link"), known)
     if changes:
-        tuned_settings(TunedCondition(state.corruption, state.severity, state.family, changes=changes))
+        Condition(state.corruption, state.severity, state.family, settings=changes).resolved()
     return changes
 
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import NoteBook
 from dsrc.review.errors.report import RunReport
-from dsrc.review.labs.parameters import Changes
 from dsrc.review.model import ReviewModel
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
 from dsrc.review.worker import Progress, Worker
+from sensors.corruptions import Changes
 
 GoesOn = Callable[[float], bool]
 """Waits for some seconds, or less, and says whether a search goes on."""

@@ -9,10 +9,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables
-from dsrc.review.labs.parameters import Changes, TunedCondition
-from sensors.corruptions import CLEAN, EVERYONE
+from sensors.corruptions import Condition
 from sensors.frame import Frame
 from sim.errors import UserError
 
@@ -165,28 +163,6 @@ class MemorySet:
         with self._lock:
             self._joined[setup] = changes, joined
         return joined
-
-
-def condition_of(
-    kind: str, severity: int, family: Any = "physical", parameters: Changes = (), who: str = EVERYONE
-) -> Condition:
-    """Condition of sweeps; clean frames have one, whatever severity, family, parameters and agents."""
-    if kind == CLEAN:
-        return Condition()
-    if parameters:
-        return TunedCondition(kind, severity, family, who, changes=parameters)
-    return Condition(kind, severity, family, who)
-
-
-def condition_title(condition: Condition) -> str:
-    """Title of a condition: `clean`, `fog 3`, `fog 3 (paper), helpers`, `fog 3 with extinction 0.1`."""
-    if condition.kind == CLEAN:
-        return CLEAN
-    family = "" if condition.family == "physical" else f" ({condition.family})"
-    who = "" if condition.who == EVERYONE else f", {condition.who}"
-    changes = condition.changes if isinstance(condition, TunedCondition) else ()
-    with_changes = " with " + ", ".join(f"{name} {value}" for name, value in changes) if changes else ""
-    return f"{condition.kind.replace('_', ' ')} {condition.severity}{family}{who}{with_changes}"
 
 
 def has_labels(read: Callable[[int], Frame], count: int) -> bool:

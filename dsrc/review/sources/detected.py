@@ -5,11 +5,9 @@ import threading
 import numpy as np
 
 from dsrc.data.sample import SampleDetector, inside, make_sample
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, one_frame, points_left, points_table
-from dsrc.review.labs.parameters import TunedCondition, tuned_settings
 from dsrc.review.sources.base import MemorySet, Setup
-from sensors.corruptions import CLEAN, Who, corrupt_frame, drive_seed, parse_who
+from sensors.corruptions import Condition, drive_seed
 from sensors.frame import Frame
 
 
@@ -65,15 +63,6 @@ class ComputedSet(MemorySet):
             return table
 
 
-def present_agents(frame: Frame, text: str) -> Who:
-    """Who of a condition is in a frame: agents come and go in a running simulation, and other drives have others."""
-    who = parse_who(text)
-    if isinstance(who, str):
-        return who
-    ids = [agent.agent_id for agent in frame.agents]
-    return tuple(one for one in who if one in ids)
-
-
 def corrupted_frame(frame: Frame, condition: Condition, seed: int, drive: str, ego_id: int | None = None) -> Frame:
     """Frame under a condition, as `dsrc evaluate` makes it; agents that are named and absent are left out.
 
@@ -85,13 +74,5 @@ def corrupted_frame(frame: Frame, condition: Condition, seed: int, drive: str, e
         SettingsError: the corruption, or one of its parameters, is unknown.
         DataError: a sweep lacks what the corruption needs.
     """
-    if condition.kind == CLEAN:
-        return frame
-    who = present_agents(frame, condition.who)
-    if not who:
-        return frame
-    own = drive_seed(seed, drive)
-    settings = tuned_settings(condition) if isinstance(condition, TunedCondition) else None
-    return corrupt_frame(
-        frame, condition.kind, condition.severity, own, condition.family, ego_id=ego_id, who=who, settings=settings
-    )
+    present = [agent.agent_id for agent in frame.agents]
+    return condition.among(present).apply(frame, drive_seed(seed, drive), ego_id)

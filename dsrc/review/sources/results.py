@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables
 from dsrc.evaluation.stored import FILE, StoredDrive, StoredIndex, StoredRun, read_index, read_run, run_names
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.drives import DriveSource
+from sensors.corruptions import Condition
 from sim.errors import DataError, complaint
 
 

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dsrc.data.drives import Drive, list_drives
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.sharing.stored import FILE, SharedFrame, StoredShares, read_shares
-from dsrc.review.sources.base import Setup, condition_title
+from dsrc.review.sources.base import Setup
 from dsrc.review.sources.drives import DriveSource
 from dsrc.review.sources.results import stored_drive
+from sensors.corruptions import Condition
 from sim.errors import DataError, complaint
 
 
@@ -38,8 +38,8 @@ class SharedSource(DriveSource):
         here = sorted(row for condition, row in self._shares if condition == setup.condition)
         if here:
             return f"No shares in this frame of this ego; the first with some is in row {here[0]}."
-        known = ", ".join(dict.fromkeys(condition_title(condition) for condition, _ in self._shares))
-        return f"No shares in {condition_title(setup.condition)}; there are in {known or 'no frame'}."
+        known = ", ".join(dict.fromkeys(condition.label for condition, _ in self._shares))
+        return f"No shares in {setup.condition.label}; there are in {known or 'no frame'}."
 
 
 def open_shares(folder: Path, data: Path | None = None) -> Sequence[SharedSource]:

@@ -47,7 +47,7 @@ def at_level(levels: Sequence[T], severity: int) -> T:
 def require_severity(severity: int) -> None:
     """Raise SettingsError unless the severity is one of the five."""
     if severity not in SEVERITIES:
-        raise SettingsError(f"corruption severity: expected 1 to 5, found {severity!r}")
+        raise SettingsError(f"severity: expected 1 to 5, found {severity!r}")
 
 
 def check_range(owner: str, field: str, value: float, low: float, high: float) -> None:

@@ -5,12 +5,12 @@ import numpy as np
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import SampleRequest
-from dsrc.evaluation.conditions import Condition, corruption_kinds
 from dsrc.evaluation.detect import evaluate_drive, frame_positions, join_results
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.results import make_row, summary_rows
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
+from sensors.corruptions import Condition, corruption_kinds
 from tests.dsrc.data.toy import toy_frame
 
 GRID = GridSpec(range_m=(-51.2, -25.6, -3, 51.2, 25.6, 3))
@@ -35,7 +35,7 @@ class PointCounter:
         return Detections(type(sample.boxes).from_array(boxes), score)
 
 
-def halve(frame, kind, severity, seed, family="physical", who="all"):
+def halve(frame, kind, severity, seed, family="physical", **_):
     """Leave every `2 * severity`-th point."""
     return frame.with_sweeps([agent.sweep[:: 2 * severity] for agent in frame.agents])
 

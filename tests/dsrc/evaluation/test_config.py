@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark, available, cases_of, plan_of, read_benchmark
 from dsrc.options.detection import BenchmarkOptions
 from dsrc.training.recipes import METHODS
+from sensors.corruptions import Condition
 from sim.errors import SettingsError
 from tests.paths import ROOT
 
@@ -81,7 +81,7 @@ text = "Old."
 def test_who_is_corrupted_is_part_of_every_condition(tmp_path):
     text = GOOD.replace('name = "small"', 'name = "small"\nwho = "helpers"')
     plan = read_benchmark(written(tmp_path, text))
-    assert {case.condition.who for case in cases_of(plan) if case.condition.kind != "clean"} == {"helpers"}
+    assert {case.condition.agents for case in cases_of(plan) if case.condition.kind != "clean"} == {"helpers"}
     options = BenchmarkOptions(checkpoints=("c.pt",), data=("data",), who="1002,-1")
     assert plan_of(options).who == "1002,-1"
     for who, message in (

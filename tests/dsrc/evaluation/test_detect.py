@@ -7,11 +7,10 @@ import pytest
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import OPENCOOD_RANGE_M, SampleRequest, make_sample
-from dsrc.evaluation.conditions import Condition, corruption_kinds
 from dsrc.evaluation.detect import Method, corrupted, first_agents, frame_positions, warn_of_slow_drives
 from dsrc.evaluation.results import find_row
 from dsrc.ops.detections import Detections
-from sensors.corruptions import CORRUPTIONS, PAPER_SIX, drive_seed
+from sensors.corruptions import CORRUPTIONS, PAPER_SIX, Condition, corruption_kinds, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from sim.radio import PRESETS
@@ -25,8 +24,8 @@ registered = CORRUPTIONS
 
 @pytest.fixture(autouse=True)
 def _corruptions(monkeypatch):
-    monkeypatch.setattr("sensors.corruptions.CORRUPTIONS", KINDS, raising=False)
-    monkeypatch.setattr("sensors.corruptions.corrupt_frame", halve, raising=False)
+    monkeypatch.setattr("sensors.corruptions.condition.CORRUPTIONS", KINDS)
+    monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", halve)
 
 
 @pytest.fixture(scope="module")
@@ -94,14 +93,14 @@ def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_besid
 
 
 def test_a_helper_whose_pose_is_wrong_stays_in_range_and_what_it_sees_in_the_truth(drives, monkeypatch):
-    def moved(frame, kind, severity, seed, family="physical", who="all"):
+    def moved(frame, kind, severity, seed, family="physical", **_):
         """Report the third agent, the roadside unit 21 m away, to be 10 m further off."""
         sweep = frame.agents[2].sweep
         pose = sweep.world_from_lidar.copy()
         pose[:2, 3] *= 1.5
         return frame.with_sweeps([*(a.sweep for a in frame.agents[:2]), replace(sweep, world_from_lidar=pose)])
 
-    monkeypatch.setattr("sensors.corruptions.corrupt_frame", moved)
+    monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", moved)
     detector = PointCounter(need=0)
     detector.settings = SampleRequest(GRID, comm_range_m=25.0)
     detect_all([Method("a", detector)], drives, ("fog",))
@@ -129,11 +128,11 @@ def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives):
 def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
     calls = []
 
-    def count(frame, kind, severity, seed, family, who):
+    def count(frame, kind, severity, seed, family, **_):
         calls.append((frame.index, kind, severity, seed, family))
         return halve(frame, kind, severity, seed)
 
-    monkeypatch.setattr("sensors.corruptions.corrupt_frame", count)
+    monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", count)
     one, two = PointCounter(), PointCounter()
     detect_all([Method("a", one), Method("b", two)], drives[:1], ("all",), severity=2, seed=7)
     own = drive_seed(7, "drive_0")
@@ -145,8 +144,8 @@ def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
 @pytest.mark.parametrize(("who", "parsed"), [("all", "all"), ("ego", "ego"), ("1002,-1", (1002, -1))])
 def test_a_condition_says_whose_sweeps_are_corrupted(monkeypatch, who, parsed):
     seen = []
-    monkeypatch.setattr("sensors.corruptions.corrupt_frame", lambda *given, who: seen.append(who))
-    corrupted(toy_frame(0), Condition("fog", 5, who=who), seed=3)
+    monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", lambda *given, who, **_: seen.append(who))
+    corrupted(toy_frame(0), Condition.of("fog", 5, agents=who), seed=3)
     assert seen == [parsed]
 
 
@@ -192,7 +191,7 @@ def test_kinds_come_in_the_order_of_the_registry():
 
 
 def test_the_papers_six_are_six_and_all_are_all(monkeypatch):
-    monkeypatch.setattr("sensors.corruptions.CORRUPTIONS", registered)
+    monkeypatch.setattr("sensors.corruptions.condition.CORRUPTIONS", registered)
     assert corruption_kinds(("paper_six",)) == PAPER_SIX
     assert corruption_kinds(("all",)) == tuple(registered)
     assert "pose_error" in corruption_kinds(("paper_six", "pose_error"))

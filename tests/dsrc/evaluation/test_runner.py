@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from dsrc.data.drives import list_drives
 from dsrc.evaluation import cells, runner
 from dsrc.evaluation.cache import CellSettings, read_cell
-from dsrc.evaluation.conditions import Condition, channel_settings, condition_settings
+from dsrc.evaluation.conditions import channel_settings
 from dsrc.evaluation.config import DifferenceSpec, MethodSpec, ParameterSweeps
 from dsrc.evaluation.detect import Method
 from dsrc.evaluation.report.report import provenance_of, write_report
@@ -19,6 +19,7 @@ from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_student, save_detector
 from dsrc.runs.executors import Pool
+from sensors.corruptions import Condition
 from sim.errors import CheckpointError, DataError, SettingsError
 from sim.radio import PRESETS
 from tests.dsrc.evaluation.fakes import detect_all
@@ -181,7 +182,7 @@ SETTINGS = CellSettings(
     drive="drive_0",
     data="cd",
     positions=(0, 1),
-    condition=condition_settings(Condition("fog", 3)),
+    condition=Condition("fog", 3).decisive(),
     seed=0,
     channel=channel_settings(PRESETS["ideal"]),
     agents=5,
@@ -200,11 +201,11 @@ SETTINGS = CellSettings(
         {"drive": "drive_1"},
         {"data": "dc"},
         {"positions": (0, 2)},
-        {"condition": condition_settings(Condition("fog", 4))},
-        {"condition": condition_settings(Condition("fog", 3, "paper"))},
-        {"condition": condition_settings(Condition("snow", 3))},
-        {"condition": condition_settings(Condition("fog", 3, who="ego"))},
-        {"condition": condition_settings(Condition())},
+        {"condition": Condition("fog", 4).decisive()},
+        {"condition": Condition("fog", 3, "paper").decisive()},
+        {"condition": Condition("snow", 3).decisive()},
+        {"condition": Condition("fog", 3, agents="ego").decisive()},
+        {"condition": Condition().decisive()},
         {"seed": 1},
         {"channel": None},
         {"channel": channel_settings(PRESETS["c-v2x"])},
@@ -222,8 +223,8 @@ def test_every_setting_has_cells_of_its_own(change):
 
 
 def test_a_cell_names_who_is_corrupted_only_where_it_is_not_everyone():
-    assert "who" not in condition_settings(Condition("fog", 3, who="all"))
-    assert condition_settings(Condition("fog", 3, who="helpers"))["who"] == "helpers"
+    assert "who" not in Condition("fog", 3, agents="all").decisive()
+    assert Condition("fog", 3, agents="helpers").decisive()["who"] == "helpers"
 
 
 def test_a_channel_is_what_it_does_and_not_its_name(tmp_path):

@@ -10,7 +10,6 @@ import pytest
 
 from dsrc.data.drives import open_drive
 from dsrc.data.sample import make_sample
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.evaluation.detection_table import join_tables, one_frame, points_left, read_table
 from dsrc.evaluation.evaluate import evaluate_drives
@@ -19,7 +18,7 @@ from dsrc.evaluation.stored import read_index, read_run
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from dsrc.options.detection import Evaluation
-from sensors.corruptions import corrupt_frame, drive_seed
+from sensors.corruptions import Condition, corrupt_frame, drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError
 from tests.dsrc.evaluation.fakes import GRID, PointCounter

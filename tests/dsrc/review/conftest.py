@@ -160,5 +160,5 @@ def fake_fog(monkeypatch):
         halves = [replace(agent.sweep[::2], lost=len(agent.sweep) // 2) for agent in frame.agents]
         return frame.with_sweeps([replace(s, fate=np.ones(len(s), np.uint8)) for s in halves])
 
-    monkeypatch.setattr("dsrc.review.sources.detected.corrupt_frame", corrupt_frame)
+    monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", corrupt_frame)
     return calls

@@ -5,12 +5,12 @@ import time
 
 import pytest
 
-from dsrc.evaluation.conditions import Condition
 from dsrc.review.errors.judgements import DETECTOR
 from dsrc.review.model import ReviewModel
 from dsrc.review.sources.base import MemorySet, Setup
 from dsrc.review.state import ReviewState
 from dsrc.review.worker import Worker
+from sensors.corruptions import Condition
 from sim.errors import DataError, SettingsError
 
 

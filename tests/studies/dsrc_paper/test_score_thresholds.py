@@ -8,10 +8,10 @@ import numpy as np
 from dsrc.data.drives import open_drive
 from dsrc.data.sample import Sample
 from dsrc.evaluation.cache import CellSettings, write_cell
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.evaluation.stored import StoredDrive, StoredIndex, StoredRun, write_index
 from dsrc.ops.detections import Detections
+from sensors.corruptions import Condition
 from tests.commands import study
 from tests.dsrc.evaluation.fakes import GRID, PointCounter
 from tests.dsrc.evaluation.small import write_drives

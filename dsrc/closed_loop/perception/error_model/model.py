@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from dsrc.closed_loop.perception.error_model.sight import BANDS, KINDS, SIGHTS, Kind, Sight
-from sensors.corruptions import CLEAN, EVERYONE, Family
+from sensors.corruptions import CLEAN, EVERYONE, Condition, Family
 from sim.boxes import CLASSES
 from sim.errors import DataError, SettingsError, complaint
 from sim.files import write_file
@@ -32,8 +32,6 @@ Count = Annotated[int, Meta(ge=0)]
 _Bounded = Annotated[float, Meta(ge=-1e3, le=1e3)]
 _Spread = Annotated[float, Meta(ge=0.0, le=1e3)]
 _Size = Annotated[float, Meta(gt=0.0, le=1e3)]
-Condition = tuple[str, int, str, str, str]
-"""Corruption, severity, family, who and channel."""
 Wider = Literal[
     "cell", "kind, sight and heading", "kind and sight", "kind and sight, whatever came before", "sight", "all"
 ]
@@ -197,8 +195,8 @@ class Errors(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @property
     def condition(self) -> Condition:
-        """What the errors are those of."""
-        return self.corruption, self.severity, self.family, self.who, self.channel
+        """Condition of the sweeps."""
+        return Condition.of(self.corruption, self.severity, self.family, self.who)
 
 
 class ErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -224,34 +222,24 @@ class ErrorModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     scenarios: tuple[str, ...] = ()
     conditions: Annotated[tuple[Errors, ...], Meta(min_length=1)]
 
-    def errors(self, where: Path | str, condition: Condition) -> Errors:
+    def errors(self, where: Path | str, condition: Condition, channel: str) -> Errors:
         """Return the errors under a condition.
 
-        Of clean sweeps severity, family and who do not matter, of a perception without helpers not the channel.
+        The channel of a perception without helpers does not matter.
 
         Args:
             where: file of the model, for the message.
-            condition: corruption, severity, family, who and channel.
+            channel: name of the radio channel.
 
         Raises:
             SettingsError: the model was not fitted under it.
         """
-        sought = self._decisive(condition)
         for one in self.conditions:
-            if self._decisive(one.condition) == sought:
+            if one.condition == condition and (one.channel == channel or not self.cooperative):
                 return one
-        known = "; ".join(_named(one.condition) for one in self.conditions)
-        raise SettingsError(complaint(where, "conditions", f"one of {known}", _named(condition)))
-
-    def _decisive(self, condition: Condition) -> tuple[str | int, ...]:
-        kind, *corruption, channel = condition
-        return (kind, *(corruption if kind != CLEAN else ()), *((channel,) if self.cooperative else ()))
-
-
-def _named(condition: Condition) -> str:
-    kind, severity, family, who, channel = condition
-    corruption = kind if kind == CLEAN else f"{kind} {severity} ({family}) of {who}"
-    return f"{corruption} by channel {channel}"
+        known = "; ".join(f"{one.condition.label} by channel {one.channel}" for one in self.conditions)
+        found = f"{condition.label} by channel {channel}"
+        raise SettingsError(complaint(where, "conditions", f"one of {known}", found))
 
 
 def write_model(path: Path, model: ErrorModel) -> None:

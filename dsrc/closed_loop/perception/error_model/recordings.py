@@ -5,7 +5,7 @@ from pathlib import Path
 
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.error_model.fit import classes_found, fit_errors
-from dsrc.closed_loop.perception.error_model.model import Condition, ErrorModel
+from dsrc.closed_loop.perception.error_model.model import ErrorModel
 from dsrc.closed_loop.perception.error_model.percepts import (
     FRAME_S,
     Observed,
@@ -14,13 +14,13 @@ from dsrc.closed_loop.perception.error_model.percepts import (
 )
 from dsrc.evaluation.stored import has_index, read_index, read_run
 from dsrc.runs.executors import Progress
-from sensors.corruptions import CLEAN
+from sensors.corruptions import Condition
 from sim.errors import DataError, complaint, did_you_mean
 
 _ALONE = ("truth", "sight", "ego")
-_CONDITION = ("corruption", "severity", "family", "who", "channel")
 
-Sequences = dict[Condition, list[list[Observed]]]
+Sequences = dict[tuple[Condition, str], list[list[Observed]]]
+"""Percepts by condition of the sweeps and channel."""
 
 
 def fit_model(
@@ -75,8 +75,8 @@ def _of_logs(data: Path, perception: str | None, seeds: tuple[int, ...], progres
     sequences: Sequences = defaultdict(list)
     for log in kept:
         one = log.settings
-        key = _condition(one.corruption, one.severity, one.family, one.who, one.channel)
-        sequences[key].append(list(observed_episode(log, cooperative)))
+        condition = Condition.of(one.corruption, one.severity, one.family, one.who)
+        sequences[condition, one.channel].append(list(observed_episode(log, cooperative)))
     scenarios = tuple(sorted({log.settings.scenario.name for log in kept}))
     return _model(settings.perception, settings.detector, cooperative, _interval(kept[0]), scenarios, sequences)
 
@@ -93,18 +93,14 @@ def _of_results(data: Path, method: str | None, seeds: tuple[int, ...], progress
         raise DataError(complaint(data, "runs", expected, f"{len({run.method for run in runs})} methods", hint))
     sequences: Sequences = defaultdict(list)
     for done, run in enumerate(runs, start=1):
-        who = run.who if isinstance(run.who, str) else ",".join(map(str, run.who))
-        key = _condition(run.kind, run.severity, run.family, who, run.channel)
         for cells in run.cells:
             if cells:
-                sequences[key].append(list(observed_table(read_run(data, cells), run.agents > 1)))
+                sequences[run.condition, run.channel].append(
+                    list(observed_table(read_run(data, cells), run.agents > 1))
+                )
         progress(done, len(runs))
     drives = tuple(sorted({drive.name for drive in index.drives}))
     return _model(runs[0].method, runs[0].detector, runs[0].agents > 1, FRAME_S, drives, sequences)
-
-
-def _condition(kind: str, severity: int, family: str, who: str, channel: str) -> Condition:
-    return (kind, 0, "physical", "all", channel) if kind == CLEAN else (kind, severity, family, who, channel)
 
 
 def _model(
@@ -116,8 +112,16 @@ def _model(
     sequences: Sequences,
 ) -> ErrorModel:
     conditions = tuple(
-        fit_errors(found, interval_s, **dict(zip(_CONDITION, key, strict=True)))
-        for key, found in sorted(sequences.items())
+        fit_errors(
+            found,
+            interval_s,
+            corruption=condition.kind,
+            severity=condition.severity,
+            family=condition.family,
+            who=condition.agents_text,
+            channel=channel,
+        )
+        for (condition, channel), found in sorted(sequences.items(), key=lambda item: (*item[0][0].key, item[0][1]))
     )
     return ErrorModel(
         perception=perception,

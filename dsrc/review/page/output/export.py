@@ -32,7 +32,7 @@ from dsrc.review.page.scene import (
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart
-from sensors.corruptions import CLEAN, EVERYONE, parse_who, require_corruption, require_who
+from sensors.corruptions import CLEAN, EVERYONE, Condition
 from sim.errors import SettingsError, UserError, complaint
 from sim.files import signed_picture, write_file
 
@@ -70,8 +70,7 @@ def export_html(options: PageOptions) -> Path:
         SettingsError: the corruption or a number is wrong.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    require_corruption(options.corruption, options.severity, options.family)
-    require_who(options.corruption, parse_who(options.who))
+    Condition.of(options.corruption, options.severity, options.family, options.who).checked()
     model = open_model(options.data, options.checkpoint, options.drives)
     if not 0 <= options.drive < len(model.drives):
         raise SettingsError(complaint("view", "drive", f"0 to {len(model.drives) - 1}", options.drive))

@@ -122,7 +122,7 @@ def test_a_checkpoint_that_nobody_takes_is_refused(tmp_path: Path, text: str) ->
 
 def test_corruptions_reach_nobody_without_a_sensor() -> None:
     jobs = episodes_of(replace(PLAN, corruptions=("paper_six",), perceptions=PLAN.perceptions[:1], seeds=2))
-    assert [job.condition["kind"] for job in jobs] == ["clean", "clean"]
+    assert [job.condition.kind for job in jobs] == ["clean", "clean"]
 
 
 def test_controls_are_those_of_the_encounters() -> None:
@@ -204,7 +204,7 @@ def test_seeds_that_no_episode_would_have_are_refused(tmp_path: Path, text: str)
     with path.open("a", encoding="utf-8") as file:
         file.write('[[perceptions]]\nname = "ego"\n')
     if "fog" in text:
-        assert {job.seed for job in episodes_of(read_campaign(path)) if job.condition["kind"] == "fog"} == {20, 21}
+        assert {job.seed for job in episodes_of(read_campaign(path)) if job.condition.kind == "fog"} == {20, 21}
 
 
 def test_options_beside_a_plan_are_refused(tmp_path: Path) -> None:

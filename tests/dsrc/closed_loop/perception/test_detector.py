@@ -10,8 +10,9 @@ from msgspec.structs import replace as changed
 
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.detector import DetectorPerception
-from dsrc.closed_loop.perception.senses import Faults, Senses
+from dsrc.closed_loop.perception.senses import Senses
 from dsrc.ops.detections import Detections
+from sensors.corruptions import Condition
 from sensors.recording.record import record
 from sensors.sweep import POINT_FIELDS
 from sim.boxes import CLASSES, Boxes
@@ -147,7 +148,7 @@ def test_the_live_sweeps_are_those_of_the_recorded_drive() -> None:
     from sim.world.build import build_world
 
     recording = record(StraightTraffic(start), build_world(scenario, 3), scenario, 3, 4)
-    traffic, senses = StraightTraffic(start), Senses(Faults(), cooperative=True)
+    traffic, senses = StraightTraffic(start), Senses(Condition(), cooperative=True)
     senses.reset(scenario, recording.vehicles[0], 3)
     for index in (1, 2, 3):
         live, recorded = senses.frame(traffic.actors, traffic.step(), {}), recording.frame(index)
@@ -158,7 +159,7 @@ def test_the_live_sweeps_are_those_of_the_recorded_drive() -> None:
 
 
 def test_a_helper_that_leaves_is_not_replaced() -> None:
-    senses = Senses(Faults(), cooperative=True)
+    senses = Senses(Condition(), cooperative=True)
     senses.reset(SCENARIO, EGO, 0)
     first = senses.frame(instant(0), instant(1), {})
     later = replace(rows_of(instant(2), [0, 2, 3]), time_s=0.2)
@@ -169,8 +170,8 @@ def test_a_helper_that_leaves_is_not_replaced() -> None:
 @pytest.mark.parametrize(("who", "hit"), [("ego", [EGO]), ("helpers", [HELPER]), ((HELPER,), [HELPER]), ("all", None)])
 def test_only_those_asked_for_are_corrupted(who, hit) -> None:
     frames = []
-    for faults in (Faults(), Faults(corruption="beam_missing", severity=5, who=who)):
-        senses = Senses(faults, cooperative=True)
+    for condition in (Condition(), Condition("beam_missing", 5, agents=who)):
+        senses = Senses(condition, cooperative=True)
         senses.reset(SCENARIO, EGO, 0)
         frames.append(senses.frame(instant(0), instant(1), {}))
     clean, faulty = frames
@@ -179,13 +180,15 @@ def test_only_those_asked_for_are_corrupted(who, hit) -> None:
 
 
 def test_a_corrupted_id_may_leave_but_not_be_unknown() -> None:
-    senses = Senses(Faults(corruption="fog", who=(HELPER,)), cooperative=True)
+    senses = Senses(Condition("fog", 3, agents=(HELPER,)), cooperative=True)
     senses.reset(SCENARIO, EGO, 0)
     senses.frame(instant(0), instant(1), {})
     senses.frame(instant(1), rows_of(instant(2), [0, 2, 3]), {})
-    unknown = Senses(Faults(corruption="fog", who=(1777,)), cooperative=True)
+    unknown = Senses(Condition("fog", 3, agents=(1777,)), cooperative=True)
     unknown.reset(SCENARIO, EGO, 0)
-    with pytest.raises(SettingsError, match=r"who: expected ids among the agents \[1000, 1001\], found 1777"):
+    with pytest.raises(
+        SettingsError, match=r"corrupted_agents: expected ids among the agents \[1000, 1001\], found 1777"
+    ):
         unknown.frame(instant(0), instant(1), {})
 
 

@@ -6,8 +6,8 @@ from msgspec.structs import replace as changed
 
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.liars import false_actors
-from dsrc.closed_loop.perception.senses import Faults
 from dsrc.closed_loop.types import Percept
+from sensors.corruptions import Condition
 from sim.radio import PRESETS, ChannelSpec
 from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, LIE, SCENARIO, Knowing, build, claim, instant
 
@@ -21,11 +21,11 @@ def percepts(
     channel: ChannelSpec = PRESETS["ideal"],
     lies: bool = True,
     cooperative: bool = True,
-    faults: Faults | None = None,
+    condition: Condition | None = None,
     steps: int = 1,
 ) -> list[Percept]:
     """Percepts of a detector that reports a car at the place of the lie if it has points there."""
-    perception = DetectorPerception(Knowing(LIE), cooperative=cooperative, faults=faults, channel=channel)
+    perception = DetectorPerception(Knowing(LIE), cooperative=cooperative, condition=condition, channel=channel)
     perception.reset(SCENARIO, EGO, 0)
     claims = claim() if lies else {}
     return [perception.perceive(instant(k), instant(k + 1), claims) for k in range(steps)]
@@ -54,12 +54,12 @@ def test_a_ghost_is_as_late_as_every_message() -> None:
 
 
 def test_a_corruption_of_the_liar_acts_on_its_lie(monkeypatch: pytest.MonkeyPatch) -> None:
-    def gone(frame, kind, severity, seed, family, *, ego_id, who):
+    def gone(frame, kind, severity, seed, family, *, ego_id, who, **_):
         assert who == "helpers"
         return frame.with_sweeps([a.sweep if a.agent_id == ego_id else a.sweep[:0] for a in frame.agents])
 
-    monkeypatch.setattr("dsrc.closed_loop.perception.senses.corrupt_frame", gone)
-    assert len(percepts(faults=Faults(corruption="fog", who="helpers"))[0].boxes) == 0
+    monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", gone)
+    assert len(percepts(condition=Condition("fog", 3, agents="helpers"))[0].boxes) == 0
 
 
 def test_a_claim_of_somebody_who_sends_nothing_reaches_nobody() -> None:

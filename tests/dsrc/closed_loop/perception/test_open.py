@@ -73,10 +73,10 @@ def test_truth_and_sight() -> None:
     ],
 )
 def test_detectors_by_name_and_file(text: str, cooperative: bool) -> None:
-    perception = open_perception(text, corruption="fog", severity=4, who="helpers", channel="paper")
+    perception = open_perception(text, corruption="fog", severity=4, corrupted_agents="helpers", channel="paper")
     assert isinstance(perception, DetectorPerception)
     assert perception.cooperative is cooperative
-    assert perception.senses.faults.severity == 4
+    assert perception.senses.condition.severity == 4
     assert perception.channel.name == ("paper" if cooperative else "ideal")
     assert perception.detector.settings.fusion == ("late" if text.startswith("late") else "attention")
     assert perception.classes == VEHICLES
@@ -198,11 +198,11 @@ def test_settings_of_what_a_perception_has_not_are_refused(own: None, text: str,
 
 
 def test_a_wrong_setting_or_file_is_refused(tmp_path: Path) -> None:
-    for settings in ({"corruption": "fogg"}, {"channel": "pigeon"}, {"engine": "steam"}, {"who": "me"}):
+    for settings in ({"corruption": "fogg"}, {"channel": "pigeon"}, {"engine": "steam"}, {"corrupted_agents": "me"}):
         with pytest.raises(SettingsError):
             open_perception("team", **settings)
     with pytest.raises(SettingsError, match="who: expected helpers"):
-        open_perception("team", corruption="pose_error", who="ego")
+        open_perception("team", corruption="pose_error", corrupted_agents="ego")
     with pytest.raises(CheckpointError, match="no such checkpoint file"):
         open_perception(str(tmp_path / "gone.pt"))
 

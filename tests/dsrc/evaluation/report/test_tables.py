@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.config import Benchmark, Case, DatasetSpec, Footnote, MethodSpec, ParameterSweeps, cases_of
 from dsrc.evaluation.report.dataset_results import DatasetResults
 from dsrc.evaluation.report.report import RESULTS, write_report
@@ -20,6 +19,7 @@ from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.tables.document import publish
 from dsrc.tables.table import Stat, Table
 from dsrc.training.recipes import METHODS, debug, of_method
+from sensors.corruptions import Condition
 
 # Table 1 of the paper, OPV2V, AP at IoU 0.5 and 0.7 in percent: clean and the six.
 PAPER = {

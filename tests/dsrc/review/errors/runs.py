@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.sources.base import Setup
+from sensors.corruptions import Condition
 from sim.boxes import Boxes
 
 

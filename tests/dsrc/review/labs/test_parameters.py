@@ -3,11 +3,9 @@
 import msgspec
 import pytest
 
-from dsrc.evaluation.conditions import Condition
-from dsrc.review.labs.parameters import TunedCondition, changed, parameters_of, parse_change, tuned_settings
-from dsrc.review.sources.base import condition_of, condition_title
+from dsrc.review.labs.parameters import changed, parameters_of, parse_change
 from dsrc.review.sources.detected import corrupted_frame
-from sensors.corruptions import CORRUPTIONS, FAMILIES
+from sensors.corruptions import CORRUPTIONS, FAMILIES, Condition
 from sim.errors import SettingsError
 
 MODELS = [(kind, family) for kind in CORRUPTIONS for family in FAMILIES if parameters_of(kind, 3, family)]
@@ -37,7 +35,7 @@ def test_both_ends_of_every_parameter_are_valid_settings(kind, family):
                 if (kind, family, parameter.name, end) == ("rain", "paper", "range_max_m", parameter.low):
                     continue  # the farthest range is below the nearest
                 value = type(parameter.value)(end)
-                settings = tuned_settings(TunedCondition(kind, severity, family, changes=((parameter.name, value),)))
+                settings = Condition(kind, severity, family, settings=((parameter.name, value),)).resolved()
                 assert getattr(settings, parameter.name) == value
                 assert settings == msgspec.structs.replace(own, **{parameter.name: value})
 
@@ -93,24 +91,24 @@ def test_what_is_no_change_is_named(kind, text, message):
     [
         ((("extinction", -1.0),), "extinction: expected 0 to"),
         ((("extinction", "dense"),), "extinction"),
-        ((("visibility_m", 50.0),), "expected one of extinction, backscatter, patchiness, found visibility_m"),
+        ((("visibility_m", 50.0),), "expected a setting of Fog, found visibility_m"),
     ],
 )
 def test_settings_that_do_not_exist_are_refused(changes, message):
     with pytest.raises(SettingsError, match=message):
-        tuned_settings(TunedCondition("fog", 3, changes=changes))
+        Condition("fog", 3, settings=changes).resolved()
 
 
 def test_a_condition_with_changes_is_none_of_the_known_ones():
-    plain, tuned = Condition("fog", 3), condition_of("fog", 3, "physical", (("extinction", 0.1),))
+    plain, tuned = Condition("fog", 3), Condition.of("fog", 3, settings=(("extinction", 0.1),))
     assert plain != tuned and len({plain, tuned}) == 2
-    assert condition_of("clean", 3, "physical", (("extinction", 0.1),)) == Condition()
-    assert condition_title(tuned) == "fog 3 with extinction 0.1"
+    assert Condition.of("clean", 3, settings=(("extinction", 0.1),)) == Condition()
+    assert tuned.label == "fog 3 with extinction 0.1"
 
 
 def test_parameters_change_the_sweeps(frame):
-    plain = corrupted_frame(frame, condition_of("point_dropping", 3), 0, "street")
-    none = corrupted_frame(frame, condition_of("point_dropping", 3, "physical", (("share", 0.0),)), 0, "street")
-    most = corrupted_frame(frame, condition_of("point_dropping", 3, "physical", (("share", 0.6),)), 0, "street")
+    plain = corrupted_frame(frame, Condition.of("point_dropping", 3), 0, "street")
+    none = corrupted_frame(frame, Condition.of("point_dropping", 3, settings=(("share", 0.0),)), 0, "street")
+    most = corrupted_frame(frame, Condition.of("point_dropping", 3, settings=(("share", 0.6),)), 0, "street")
     before, kept, left, few = (len(one.agents[0].sweep) for one in (frame, none, plain, most))
     assert before == kept > left > few > 0

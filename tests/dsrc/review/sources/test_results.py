@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.detection_table import join_tables
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.evaluation.metrics.ap import evaluate
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Evaluation
-from dsrc.review.sources.base import Setup, condition_title
+from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet, corrupted_frame
 from dsrc.review.sources.opening import add_detectors, open_sources
+from sensors.corruptions import Condition
 from sim.errors import CheckpointError, DataError, SettingsError
 from tests.dsrc.evaluation.small import write_detector, write_drives
 
@@ -134,5 +134,5 @@ def test_a_damaged_cell_and_frames_of_another_drive_name_their_file(done, tmp_pa
 
 
 def test_conditions_have_titles():
-    titles = [condition_title(c) for c in (Condition(), FOG.condition, Condition("beam_missing", 5, "paper", "ego"))]
+    titles = [c.label for c in (Condition(), FOG.condition, Condition("beam_missing", 5, "paper", "ego"))]
     assert titles == ["clean", "fog 3", "beam missing 5 (paper), ego"]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from dsrc.__main__ import main
-from dsrc.evaluation.conditions import Condition
 from dsrc.evaluation.sharing.stored import FILE, SharedBox, StoredShares, read_shares
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.controls import CONTROLS
@@ -20,6 +19,7 @@ from dsrc.review.sources.shares import SharedSource
 from dsrc.review.state import ReviewState
 from dsrc.review.texts import legend, selection_report
 from dsrc.review.view import FALSE_NEGATIVES, OTHER_TRUTH, TRUE_POSITIVES
+from sensors.corruptions import Condition
 from sim.errors import DataError
 from sim.geometry import invert
 from tests.dsrc.evaluation.small import write_detector, write_drives

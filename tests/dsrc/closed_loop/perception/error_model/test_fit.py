@@ -11,6 +11,7 @@ from dsrc.closed_loop.perception.error_model.fit import EXAMPLES, LEAST, classes
 from dsrc.closed_loop.perception.error_model.model import Cell, Chance, ErrorModel, Errors, read_model, write_model
 from dsrc.closed_loop.perception.error_model.percepts import Observed
 from dsrc.closed_loop.perception.error_model.sight import quarters_of
+from sensors.corruptions import Condition
 from sim.errors import DataError, SettingsError
 from tests.dsrc.closed_loop.perception.error_model import percepts
 from tests.dsrc.closed_loop.perception.error_model.percepts import INTERVAL_S, sequence
@@ -230,9 +231,9 @@ def test_a_wrong_file_is_one_line(errors: Errors, tmp_path: Path, change, field:
 
 def test_a_condition_that_was_not_recorded_is_named(errors: Errors) -> None:
     model = model_of(errors)
-    assert model.errors("m.json", ("clean", 3, "paper", "all", "its-g5-6")) is errors  # alone: any channel
+    assert model.errors("m.json", Condition(), "its-g5-6") is errors  # alone: any channel
     with pytest.raises(SettingsError, match=r"m\.json: conditions: expected one of clean .*, found fog 3"):
-        model.errors("m.json", ("fog", 3, "physical", "all", "ideal"))
+        model.errors("m.json", Condition("fog", 3), "ideal")
 
 
 def test_what_was_never_found_is_told_from_what_was_lost() -> None:
