@@ -1,4 +1,4 @@
-"""Write the tables and plots of report.md anew from the committed results, without driving an episode.
+"""Write the tables of report.md and docs/closed_loop_results.md anew from the committed results, without driving.
 
 `dsrc drive PLAN.toml --docs studies/closed_loop/report.md` writes them after
 driving; this is for changes of the tables.
@@ -12,12 +12,13 @@ from pathlib import Path
 
 from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult, read_results
-from dsrc.closed_loop.report.report import publish_report, write_report
-from dsrc.tables.document import slug
+from dsrc.closed_loop.report.report import publish_report, sections, write_report
+from dsrc.tables.document import replace_block, slug
 from sim.errors import SettingsError
 from sim.settings import read_toml
 
 PAGE = Path(__file__).with_name("report.md")
+SUMMARY = PAGE.parents[2] / "docs/closed_loop_results.md"
 
 
 def committed(plan: Path) -> tuple[Path, CampaignResult]:
@@ -42,6 +43,10 @@ def main() -> None:
         if result.results:
             write_report(result, folder)
             print(publish_report(result, folder, PAGE))
+        for section in sections(result) if result.results else ():
+            name = f"{folder.name}/{section.name}"
+            if f"<!-- begin {name} -->" in SUMMARY.read_text(encoding="utf-8"):
+                replace_block(SUMMARY, name, section.markdown(folder))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ The folder is that of `dsrc drive CAMPAIGN.toml --out runs/real`.
 Usage:
     python -m studies.closed_loop.tracking runs/real
     python -m studies.closed_loop.tracking runs/real --set confirm_evidence=1 --set ghosts_per_m2=0.03
-    python -m studies.closed_loop.tracking runs/closed-loop --seed 10 11 --docs docs/closed_loop.md
+    python -m studies.closed_loop.tracking runs/closed-loop --seed 10 11 --docs docs/closed_loop_results.md
     python -m studies.closed_loop.tracking runs/snow --scenario stalled_after_curve
 """
 

@@ -96,7 +96,7 @@ def draw(scenario: Scenario, seed: int, out: Path) -> list[Path]:
         now = traffic.actors
     ego = _on_the_way(now, scenario)
     world = build_world(scenario, seed)
-    without_ego, with_ego = (Stage.of(_everything(world, now, hidden)) for hidden in (ego, -1))
+    without_ego, with_ego = (Stage.of(everything(world, now, hidden)) for hidden in (ego, -1))
     row = now.row(ego)
     center, yaw = now.boxes.center[row], float(now.boxes.yaw[row])
     ground = center[2] - 0.5 * now.boxes.size[row, 2]
@@ -130,7 +130,7 @@ def _on_the_way(now: Actors, scenario: Scenario) -> int:
     return int(now.boxes.object_id[np.argmin(cost)])
 
 
-def _everything(world: trimesh.Trimesh, now: Actors, hidden: int) -> trimesh.Trimesh:
+def everything(world: trimesh.Trimesh, now: Actors, hidden: int) -> trimesh.Trimesh:
     """Return the world and all bodies but the hidden one as one mesh, which is no wider than the world."""
     low, high = world.bounds
     vertices, faces, material = [world.vertices], [world.faces], [world.face_attributes["material"]]
@@ -153,7 +153,9 @@ def _everything(world: trimesh.Trimesh, now: Actors, hidden: int) -> trimesh.Tri
     )
 
 
-def picture(stage: Stage, eye: NDArray, target: NDArray, field_of_view_deg: float) -> NDArray[np.uint8]:
+def picture(
+    stage: Stage, eye: NDArray, target: NDArray, field_of_view_deg: float, size: tuple[int, int] = SIZE
+) -> NDArray[np.uint8]:
     """Return (H, W, 3) pixels seen by a camera, with the sun's shadows, each the mean of four rays.
 
     Args:
@@ -161,8 +163,9 @@ def picture(stage: Stage, eye: NDArray, target: NDArray, field_of_view_deg: floa
         eye: (3,) position of the camera, m.
         target: (3,) centre of the picture, m.
         field_of_view_deg: horizontal field of view.
+        size: width and height, pixels.
     """
-    width, height = SIZE[0] * 2, SIZE[1] * 2
+    width, height = size[0] * 2, size[1] * 2
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -175,7 +178,7 @@ def picture(stage: Stage, eye: NDArray, target: NDArray, field_of_view_deg: floa
     bands = np.array_split(rays, 8)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         colour = np.concatenate(list(pool.map(lambda band: _colour(stage, eye, band), bands)))
-    pixels = colour.reshape(SIZE[1], 2, SIZE[0], 2, 3).mean(axis=(1, 3))
+    pixels = colour.reshape(size[1], 2, size[0], 2, 3).mean(axis=(1, 3))
     return np.clip(pixels, 0, 255).astype(np.uint8)
 
 

@@ -23,8 +23,7 @@ from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.script import FIRST_ID, ScriptedTraffic
 from sim.world.build import build_world
-from studies.pictures.places import SIZE, Stage, picture
-from studies.pictures.places import _everything as everything
+from studies.pictures.places import SIZE, Stage, everything, picture
 
 COLORS = {"ego": (40, 120, 255), "conflict": (255, 40, 40), "helper": (250, 190, 20)}
 EYE_M = 1.55
@@ -110,7 +109,7 @@ def draw(scenario: Scenario, seed: int, out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     for view, (pixels, camera, marked) in pictures.items():
         image = Image.fromarray(pixels)
-        _mark(image, camera, now, roles, marked)
+        mark(image, camera, now, roles, marked)
         files.append(out / f"{scenario.name}_{view}.png")
         image.quantize(80, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(files[-1], optimize=True)
     return files
@@ -132,14 +131,16 @@ def _at_reveal(scenario: Scenario, seed: int, proof: Proof) -> Actors:
         return traffic.actors
 
 
-def _mark(image: Image.Image, camera: tuple, now: Actors, roles: dict, marked: tuple[str, ...]) -> None:
+def mark(
+    image: Image.Image, camera: tuple, now: Actors, roles: dict, marked: tuple[str, ...], size: tuple[int, int] = SIZE
+) -> None:
     """Outline the boxes of the ego, the conflict actor and the helpers."""
     pen = ImageDraw.Draw(image)
     for row, name in enumerate(now.name):
         role = next((role for role in marked if role in roles.get(name, ())), None)
         if role is None:
             continue
-        corners, depth = _seen_at(camera, _corners(now.boxes[row : row + 1]))
+        corners, depth = seen_at(camera, _corners(now.boxes[row : row + 1]), size)
         if depth.min() < 0.5:
             continue
         for a, b in _EDGES:
@@ -150,7 +151,9 @@ def _corners(box: Boxes) -> NDArray[np.float64]:
     return box.corners()[0]
 
 
-def _seen_at(camera: tuple, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def seen_at(
+    camera: tuple, points: NDArray[np.float64], size: tuple[int, int] = SIZE
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (N, 2) pixels and (N,) depths of points in the picture of a camera."""
     eye, target, field_of_view_deg = camera
     forward = (target - eye) / np.linalg.norm(target - eye)
@@ -159,8 +162,8 @@ def _seen_at(camera: tuple, points: NDArray[np.float64]) -> tuple[NDArray[np.flo
     up = np.cross(right, forward)
     offset = points - eye
     depth = offset @ forward
-    scale = 0.5 * SIZE[0] / np.tan(np.radians(0.5 * field_of_view_deg)) / np.maximum(depth, 1e-3)
-    return np.column_stack([0.5 * SIZE[0] + scale * (offset @ right), 0.5 * SIZE[1] - scale * (offset @ up)]), depth
+    scale = 0.5 * size[0] / np.tan(np.radians(0.5 * field_of_view_deg)) / np.maximum(depth, 1e-3)
+    return np.column_stack([0.5 * size[0] + scale * (offset @ right), 0.5 * size[1] - scale * (offset @ up)]), depth
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from sensors.corruptions import CORRUPTIONS
 from sensors.presets import LIDARS
@@ -31,6 +32,13 @@ def test_a_study_draws_in_seconds_on_a_small_setting(name: str, tmp_path: Path) 
         assert str(picture) in printed
         assert picture.read_bytes().startswith(b"\x89PNG")
         assert picture.stat().st_size < 300_000
+
+
+def test_the_left_turn_moves_and_is_small() -> None:
+    path = ROOT / "docs/pictures/closed_loop/left_turn.gif"
+    assert path.stat().st_size < 2_000_000
+    with Image.open(path) as picture:
+        assert getattr(picture, "n_frames", 1) > 30
 
 
 @pytest.mark.parametrize("name", LIDARS)

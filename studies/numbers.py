@@ -1,0 +1,195 @@
+"""The numbers that the pages quote, from the committed result files.
+
+A page quotes a number between `<!--n:NAME-->` and `<!--/n-->`; this writes `studies/numbers.json` and the pages anew.
+
+Usage:
+    python -m studies.numbers
+"""
+
+import argparse
+import csv
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.metrics.comparison import Value, arrived, collided, counted, pairs
+from dsrc.closed_loop.metrics.statistics import paired_rates, rate
+from dsrc.closed_loop.report.tables import parts_of
+from studies.closed_loop.page import committed
+
+ROOT = Path(__file__).parents[1]
+FILE = ROOT / "studies/numbers.json"
+PAGES = ("README.md", "docs/results.md", "docs/closed_loop.md", "docs/closed_loop_results.md")
+REPORT = ROOT / "studies/dsrc_paper/report"
+LOOP = ROOT / "studies/closed_loop"
+QUOTED = re.compile(r"<!--n:(\w+)-->(.*?)<!--/n-->")
+TEAM, PLAIN, ALONE = "DSRC", "plain student", "ego alone"
+
+
+def main() -> None:
+    description, _, usage = (__doc__ or "").partition("\n\n")
+    argparse.ArgumentParser(
+        description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
+    found = numbers()
+    FILE.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    for page in PAGES:
+        path = ROOT / page
+        path.write_text(quoting(path.read_text(encoding="utf-8"), found), encoding="utf-8")
+        print(path)
+
+
+def quoting(text: str, found: Mapping[str, str]) -> str:
+    """Return a page with its quoted numbers as they are in the results.
+
+    Raises:
+        KeyError: the page quotes an unknown number.
+    """
+    return QUOTED.sub(lambda match: f"<!--n:{match[1]}-->{found[match[1]]}<!--/n-->", text)
+
+
+def numbers() -> dict[str, str]:
+    """Return every number by its name, as pages quote it."""
+    return dict([*_differences(), *_thresholds(), *_average_precision(), *_demo(), *_driving(), *_anticipation()])
+
+
+def _rows(file: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
+
+
+def _differences() -> Iterator[tuple[str, str]]:
+    """Yield differences of AP between trainings, points at 0.5 / 0.7, with the interval of 95 % over drives."""
+    small, twins = REPORT / "dsrc-sim-small/dsrc-sim", REPORT / "dsrc-sim-twins/dsrc-sim"
+    plain, taught = "AttFuse (plain student)", "DSRC, corrupted clouds"
+    for name, file, method, baseline, condition in (
+        ("gain_clean", twins / "differences.csv", "DSRC", plain, "clean"),
+        ("gain_ours", twins / "differences.csv", "DSRC", plain, "mean_corrupted"),
+        ("gain_published", twins / "differences_paper.csv", "DSRC", plain, "mean_corrupted"),
+        ("late_snow", small / "differences.csv", "DSRC", "Late", "snow"),
+        ("taught_snow", small / "differences.csv", taught, "DSRC", "snow"),
+        ("taught_clean", small / "differences.csv", taught, "DSRC", "clean"),
+    ):
+        wanted = (method, baseline, condition)
+        rows = [row for row in _rows(file) if (row["method"], row["baseline"], row["condition"]) == wanted]
+        yield name, " / ".join(_interval(row) for row in rows)
+
+
+def _interval(row: Mapping[str, str]) -> str:
+    value, low, high = (100.0 * float(row[key]) for key in ("difference", "by_drive_low", "by_drive_high"))
+    return f"{value:+.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _thresholds() -> Iterator[tuple[str, str]]:
+    """Yield the gain of DSRC with detections sorted inside frames, by the score from which boxes count."""
+    page = (REPORT.parent / "report.md").read_text(encoding="utf-8")
+    block = page.partition("<!-- begin score_thresholds_twins -->\n")[2].partition("\n<!-- end")[0]
+    head, _, *lines = (line.strip("| ").split(" | ") for line in block.splitlines())
+    cells = {line[0]: dict(zip(head[1:], line[1:], strict=True)) for line in lines}
+    for name, title, score in (
+        ("inside_clean_from_02", "clean", "0.2"),
+        ("inside_clean_from_025", "clean", "0.25"),
+        ("inside_published_from_025", "mean of the corruptions as published", "0.25"),
+        ("inside_published_from_03", "mean of the corruptions as published", "0.3"),
+    ):
+        both = (
+            cells[f"{title}, {iou}"][score].strip("*").replace("[+", "[").replace(", +", ", ") for iou in (0.5, 0.7)
+        )
+        yield name, " / ".join(both)
+
+
+def _average_precision() -> Iterator[tuple[str, str]]:
+    """Yield AP at 0.5 / 0.7 of clean frames, mean of the trainings, by number of agents and by error of the pose."""
+    folder = REPORT / "dsrc-sim-sweeps/dsrc-sim"
+    for name, file, method, value in (
+        ("ap_alone", "agents.csv", "DSRC", "1"),
+        ("ap_team", "agents.csv", "DSRC", "5"),
+        ("ap_poses", "pose_error.csv", "DSRC", "0.4"),
+        ("ap_poses_plain", "pose_error.csv", "AttFuse (plain student)", "0.4"),
+    ):
+        (row,) = (row for row in _rows(folder / file) if row["Method"] == method)
+        yield name, " / ".join(f"{100.0 * float(row[f'{value} {iou}']):.1f}" for iou in (0.5, 0.7))
+
+
+def _demo() -> Iterator[tuple[str, str]]:
+    """Yield the mean AP at 0.5 / 0.7 of the demo's drive, from the table that it prints."""
+    page = (ROOT / "studies/shipped/README.md").read_text(encoding="utf-8")
+    lines = page.partition("\n mean AP ")[2].partition("\n mCE ")[0].splitlines()
+    for name, line in zip(("dsrc", "plain", "corrupted", "alone"), lines, strict=False):
+        _, iou_50, iou_70 = (float(one) for one in re.findall(r"\d+\.\d", line)[:3])
+        yield f"demo_{name}", f"{iou_50:.1f} / {iou_70:.1f}"
+
+
+def _episodes(plan: str) -> list[EpisodeResult]:
+    return parts_of(committed(LOOP / f"{plan}.toml")[1])[0]
+
+
+def _driving() -> Iterator[tuple[str, str]]:
+    """Yield crashes and arrivals of the campaigns."""
+    main, people, traffic, opened = map(_episodes, ("campaign", "vulnerable", "traffic", "no-occluder"))
+    for name, eyes in (("alone", ALONE), ("team", TEAM), ("plain", PLAIN)):
+        clean = _of(main, eyes, corrupted=False)
+        yield f"crash_{name}", f"{_share(clean)} [{', '.join(_bounds(clean))}]"
+        yield f"crash_{name}_percent", f"{_percent(clean)} ({' to '.join(_bounds(clean))})"
+        yield f"crash_{name}_corrupted", _share(_of(main, eyes, corrupted=True))
+        yield f"crash_{name}_corrupted_percent", _percent(_of(main, eyes, corrupted=True))
+        snow = [one for one in _of(main, eyes, corrupted=True) if one.corruption == "snow"]
+        yield f"crash_{name}_snow", f"{_share(snow)} [{', '.join(_bounds(snow))}]"
+    for name, episodes in (("people", people), ("traffic", traffic), ("open", opened)):
+        for who, eyes in (("alone", ALONE), ("team", TEAM)):
+            yield f"{name}_{who}", _count(_of(episodes, eyes, corrupted=False))
+    team, plain = (_of(main, eyes, corrupted=True) for eyes in (TEAM, PLAIN))
+    yield "arrive_team_plain", _compared(team, plain, arrived)
+    yield "crash_team_plain", _compared(team, plain, collided)
+
+
+def _of(episodes: Sequence[EpisodeResult], eyes: str, *, corrupted: bool) -> list[EpisodeResult]:
+    chosen = [one for one in episodes if one.perception == eyes and (one.corruption != "clean") is corrupted]
+    return counted(chosen)
+
+
+def _count(met: Sequence[EpisodeResult]) -> str:
+    return f"{sum(map(collided, met)):.0f} of {len(met)}"
+
+
+def _percent(met: Sequence[EpisodeResult]) -> str:
+    return f"{100.0 * rate([collided(one) for one in met]).value:.0f} %"
+
+
+def _share(met: Sequence[EpisodeResult]) -> str:
+    return f"{_count(met)}, {_percent(met)}"
+
+
+def _bounds(met: Sequence[EpisodeResult]) -> list[str]:
+    """Return the bounds of the Wilson interval of 95 % of the crashes, %."""
+    found = rate([collided(one) for one in met])
+    return [f"{100.0 * bound:.0f}" for bound in (found.low, found.high)]
+
+
+def _compared(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult], value: Value) -> str:
+    """Return in how many pairs of episodes only one side has an event, with the exact test by encounter and seed."""
+    matched = pairs(ours, theirs)
+    clusters = [(one.scenario, one.seed) for one, _ in matched]
+    found = paired_rates(*([value(pair[side]) for pair in matched] for side in (0, 1)), clusters=clusters)
+    chance = "p < 0.001" if found.p_value < 0.001 else f"p = {found.p_value:.3f}"
+    return f"{found.only_first} against {found.only_second} of {len(matched)}, {chance}"
+
+
+def _anticipation() -> Iterator[tuple[str, str]]:
+    """Yield outcomes of perfect sight with the shipped driver and with one that expects somebody behind occluders."""
+    rows = {(row["eyes"], row["driver"]): row for row in _rows(LOOP / "report/anticipation.csv")}
+    for name, key in {
+        "sight_shipped": ("own sight", "shipped"),
+        "sight_anticipating": ("own sight", "anticipating"),
+        "team_anticipating": ("team sight", "anticipating"),
+    }.items():
+        row = rows[key]
+        yield name, f"{row['crashed']} of {int(row['arrived']) + int(row['crashed'])}"
+        yield f"{name}_s", f"{row['duration_s']} s"
+    slower = (float(rows[f"{eyes} sight", "anticipating"]["duration_s"]) for eyes in ("own", "team"))
+    yield "price_of_care", f"{-next(slower) + next(slower):.1f} s".lstrip("-")
+
+
+if __name__ == "__main__":
+    main()
