@@ -11,7 +11,7 @@ from sensors.corruptions import Condition
 from sim.errors import SettingsError
 from tests.paths import ROOT
 
-SHIPPED = ROOT / "docs" / "results" / "dsrc-sim-small" / "benchmark.toml"
+SHIPPED = ROOT / "studies/dsrc_paper/benchmark.toml"
 
 GOOD = """
 name = "small"
@@ -267,7 +267,7 @@ def test_the_projects_own_benchmark_has_all_that_the_papers_tables_need():
     trainings = {method.name: len(method.detectors) for method in plan.methods}
     assert trainings["DSRC"] == trainings["AttFuse (plain student)"] == 5 and trainings["Where2comm"] == 3
     # The document has a place for every block, so that what people write stays where it is.
-    text = (SHIPPED.parents[2] / "results.md").read_text(encoding="utf-8")
+    text = SHIPPED.with_name("report.md").read_text(encoding="utf-8")
     sweeps = [field for field in ("agents", "pose_error", "delay_s", "loss") if getattr(plan.sweeps, field)]
     tables = ["table_1", "table_1_opencood", "table_2", "table_3", "table_4", "visibility", *sweeps]
     for name in (*tables, "differences", "figure_4", "figure_5", "figure_6", "figure_8", "traffic"):
