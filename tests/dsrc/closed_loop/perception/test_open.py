@@ -154,7 +154,7 @@ def test_a_class_that_was_changed_since_its_import_needs_a_new_process(own: None
     open_perception("my_eyes:Own")
     file = Path("my_eyes.py")
     before = file.read_text()
-    file.write_text(before + "# other\n")
+    file.write_text(before + "OTHER = 1\n")
     with pytest.raises(SettingsError, match="my_eyes:Own: expected the module as it was imported, or a new process"):
         open_perception("my_eyes:Own")
     importlib.reload(sys.modules["my_eyes"])
