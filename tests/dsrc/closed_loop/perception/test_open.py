@@ -193,7 +193,7 @@ def test_what_does_not_load_is_an_error_of_one_line(own: None, text: str, messag
     ],
 )
 def test_settings_of_what_a_perception_has_not_are_refused(own: None, text: str, settings: dict, field: str) -> None:
-    with pytest.raises(SettingsError, match=f"^perception: {field}: expected"):
+    with pytest.raises(SettingsError, match=f"^perception: .*leave out --{field}$"):
         open_perception(text, **settings)
 
 
