@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -21,17 +21,21 @@ _FIELD_FIRST = re.compile(r"[\w.\[\]]+: ")
 _ABSENT = re.compile(r"Object missing required field `(?P<name>.*)`")
 
 
-def read_toml(path: Path, kind: type[Settings], error: type[UserError]) -> Settings:
+def read_toml(
+    path: Path, kind: type[Settings], error: type[UserError], names: Mapping[str, str] | None = None
+) -> Settings:
     """Read a TOML file into a struct.
 
     Args:
         kind: struct class; its tables are structs, tuples or dicts of structs.
         error: class of error to raise.
+        names: further names of fields at the top level, with the field of each.
 
     Raises:
         UserError: of the class `error`: the file is unreadable, a key unknown, or a value missing or wrong.
     """
-    raw = read_tables(path, error)
+    own = {name: field for name, field in (names or {}).items() if field in kind.__struct_fields__}
+    raw = renamed(read_tables(path, error), own, path, error)
     for keys, struct in _unknown_keys(raw, kind, ()):
         *where, key = keys
         hint = did_you_mean(str(key), struct.__struct_fields__)
@@ -49,6 +53,21 @@ def read_tables(path: Path, error: type[UserError]) -> dict[str, Any]:
     text = read_text(path, "TOML file", error, LARGEST_BYTES)
     with parsing(path, "TOML file", error):
         return tomllib.loads(text)
+
+
+def renamed(raw: dict[str, Any], names: Mapping[str, str], where: Path, error: type[UserError]) -> dict[str, Any]:
+    """Return the tables of a file with its fields by their own names.
+
+    Args:
+        names: further names, with the field of each.
+
+    Raises:
+        UserError: of the class `error`: a field is there by two names.
+    """
+    for name, field in names.items():
+        if name in raw and field in raw:
+            raise error(f"{where}: {name} and {field} are the same; leave out {field}")
+    return {names.get(name, name): value for name, value in raw.items()}
 
 
 def dotted(keys: Iterable[str | int]) -> str:

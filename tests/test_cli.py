@@ -84,15 +84,14 @@ def test_every_command_has_examples_that_are_read() -> None:
             options.parse(command, " ".join(words), args[len(words) :])
 
 
-def test_a_page_has_every_command_and_the_docs_every_option() -> None:
+def test_a_page_has_every_command_and_every_option() -> None:
     page = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
-    pages = [page, *(path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md"))]
-    spelled = set(re.findall(r"--[a-z][a-z0-9-]*", "\n".join(pages)))
+    spelled = set(re.findall(r"--[a-z][a-z0-9-]*", page))
     for words, command in commands():
         assert f"`dsrc {' '.join(words)}" in page, f"docs/commands.md lacks dsrc {' '.join(words)}"
         for name, kind, *_ in options.fields_of(command):
             known = options.option_words(name, kind)
-            assert not known or spelled & set(known), f"no page has {known[0]} of dsrc {' '.join(words)}"
+            assert not known or spelled & set(known), f"docs/commands.md lacks {known[0]} of dsrc {' '.join(words)}"
 
 
 @pytest.mark.parametrize("things", get_args(Things))

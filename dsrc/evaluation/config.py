@@ -50,6 +50,7 @@ from msgspec.structs import replace
 from dsrc.evaluation.conditions import check_numbers
 from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions
+from dsrc.options.fields import PLAN_NAMES
 from sensors.corruptions import EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.errors import SettingsError, complaint, did_you_mean, option
 from sim.radio import IDEAL, ChannelSpec, get_channel
@@ -222,7 +223,7 @@ def read_benchmark(path: Path) -> Benchmark:
     Raises:
         SettingsError: the file is invalid; one line names the field.
     """
-    plan = read_toml(path, Benchmark, SettingsError)
+    plan = read_toml(path, Benchmark, SettingsError, PLAN_NAMES)
 
     def found(name: str) -> str:
         beside = path.parent / name

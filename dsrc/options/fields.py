@@ -59,6 +59,10 @@ METHODS = (
 )
 
 
+PLAN_NAMES = {"corruption": "corruptions", "severity": "severities", "channel": "channels", "frames": "limit"}
+"""Fields of plans by the names that their options have on the command line; a TOML takes both."""
+
+
 def choice(names: Sequence[str], several: bool = False) -> Any:
     """Return the tyro setting of an option whose choices are listed; the function that reads it names the nearest."""
     listed = f"{{{','.join(names)}}}"
@@ -116,13 +120,16 @@ def takes_fields(
 
     def decorate(function: Callable[..., Any]) -> Any:
         further = list(signature(function).parameters.values())[1:]
+        # An option's name on the command line is an argument's too.
+        names = {one.encode_name: one.name for one in msgspec.structs.fields(struct)}  # type: ignore[arg-type]
 
         @wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
             if args and isinstance(args[0], struct):  # type: ignore[arg-type]
                 return function(*args, **kwargs)
             work = {one.name: kwargs.pop(one.name) for one in further if one.name in kwargs}
-            return function(struct(*args, **kwargs), **work)
+            options = {names.get(name, name): value for name, value in kwargs.items()}  # type: ignore[arg-type]
+            return function(struct(*args, **options), **work)
 
         hints = get_type_hints(struct)
         fields = [one.replace(annotation=hints[name]) for name, one in signature(struct).parameters.items()]

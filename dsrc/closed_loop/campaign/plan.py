@@ -46,6 +46,7 @@ from dsrc.closed_loop.perception.open import (
 from dsrc.evaluation.conditions import channel_settings
 from dsrc.options.detection import Engine
 from dsrc.options.driving import DriveOptions
+from dsrc.options.fields import PLAN_NAMES
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.catalog.load import load_scenario
 from sim.encounters import ENCOUNTERS
@@ -54,7 +55,7 @@ from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, package_versions
 from sim.radio import IDEAL, get_channel
 from sim.scenario import Scenario
-from sim.settings import convert, read_tables, read_toml
+from sim.settings import convert, read_tables, read_toml, renamed
 
 CONTROLS = ("no_occluder", "no_conflict")
 COMPUTED_BY = "dsrc.closed_loop.campaign.episode"
@@ -143,7 +144,7 @@ def read_campaign(path: Path) -> Campaign:
     Raises:
         SettingsError: the file is invalid; one line names the field.
     """
-    plan = read_toml(path, Campaign, SettingsError)
+    plan = read_toml(path, Campaign, SettingsError, PLAN_NAMES)
 
     def found(name: str) -> str:
         beside = path.parent / name
@@ -165,7 +166,7 @@ def read_campaign(path: Path) -> Campaign:
     channels = tuple(name + colon + found(file) for name, colon, file in radios)
     plan = replace(plan, perceptions=tuple(perceptions), scenarios=scenarios, channels=channels)
     check(plan, str(path))
-    given = read_tables(path, SettingsError)
+    given = renamed(read_tables(path, SettingsError), PLAN_NAMES, path, SettingsError)
     for field, expected in _without_effect(plan):
         if given.get(field) not in (None, [], [CLEAN], [IDEAL]):
             raise SettingsError(complaint(path, field, expected, f"{given[field]}"))

@@ -6,6 +6,7 @@ import pytest
 
 from dsrc.evaluation.config import Benchmark, available, cases_of, plan_of, read_benchmark
 from dsrc.options.detection import BenchmarkOptions
+from dsrc.options.fields import PLAN_NAMES
 from dsrc.training.recipes import METHODS
 from sensors.corruptions import Condition
 from sim.errors import SettingsError
@@ -43,6 +44,17 @@ def written(tmp_path, text=GOOD):
     path = tmp_path / "benchmark.toml"
     path.write_text(text)
     return path
+
+
+def test_a_file_has_the_names_of_the_options_or_those_of_before(tmp_path):
+    plan = read_benchmark(written(tmp_path))
+    text = GOOD
+    for name, field in PLAN_NAMES.items():
+        text = text.replace(f"\n{field} = ", f"\n{name} = ")
+    assert text != GOOD
+    assert read_benchmark(written(tmp_path, text)) == plan
+    with pytest.raises(SettingsError, match="corruption and corruptions are the same; leave out corruptions"):
+        read_benchmark(written(tmp_path, 'corruption = ["fog"]\n' + GOOD))
 
 
 def test_rows_are_the_product_and_the_sweeps(tmp_path):

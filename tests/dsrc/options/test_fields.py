@@ -51,6 +51,7 @@ def test_a_struct_its_fields_and_a_command_are_the_same() -> None:
     assert walk(command) == walk(Walk("home", 3)) == walk("home", 3) == walk(place="home", steps=3) == ("home", 3)
     assert walk(command, report) == walk("home", steps=3, progress=report) == ("home", 3)
     assert seen == [(3, 3), (3, 3)]
+    assert walk("home", step=3) == ("home", 3), "an option's name on the command line is an argument's too"
 
 
 def test_an_unknown_field_is_refused_and_the_signature_names_all() -> None:
