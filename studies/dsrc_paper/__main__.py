@@ -4,7 +4,7 @@ Usage:
     python -m studies.dsrc_paper studies/dsrc_paper/benchmark.toml --out runs/benchmark --docs PAGE.md
 
 It runs the plan as `dsrc benchmark` does and adds the tables of the paper. `[pictures]` of
-the plan names the teacher, the methods and the frames of Figures 6 and 8.
+the plan names the teacher, the methods and the frames of Figures 6 and 8. Missing detector files are left out.
 """
 
 import argparse
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from dsrc.evaluation.config import read_benchmark
+from dsrc.evaluation.config import available, read_benchmark
 from dsrc.evaluation.report.report import RESULTS, write_report
 from dsrc.evaluation.runner import run_plan
 from dsrc.runs.executors import Pool
@@ -36,6 +36,7 @@ def main() -> None:
         teacher = str(plan.pictures.get("teacher", ""))
         if teacher and (beside := options.plan.parent / teacher).exists():
             plan = replace(plan, pictures={**plan.pictures, "teacher": str(beside)})
+        plan, absent = available(plan)
         check_pictures(plan)
         result = run_plan(plan, options.out, Pool())
         ours, papers = ({s.name: s for s in write(result, options.out)} for write in (write_report, write_paper))
@@ -43,6 +44,8 @@ def main() -> None:
         write_file(options.out / "tables.md", "\n".join(section.markdown(Path()) for section in sections))
         if options.docs is not None:
             publish(sections, options.out, options.docs, plan.name, RESULTS)
+        if absent:
+            sys.stdout.write(f"Missing detector files, left out: {', '.join(absent)}.\n")
     except UserError as error:
         sys.stderr.write(f"dsrc_paper: {error}\n")
         raise SystemExit(2) from None

@@ -1,11 +1,12 @@
 """A detector of one's own in the closed loop: clusters of points, in twenty lines.
 
 Usage:
-    python examples/own_detector.py
-    python examples/own_detector.py --scenario lta_truck --seed 2
+    python examples/02_own_detector.py
+    python examples/02_own_detector.py --scenario lta_truck --seed 2
 """
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
@@ -46,13 +47,14 @@ def main() -> None:
     )
     parser.add_argument("--scenario", default="ima_building:no_occluder")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--duration-s", type=float, default=20.0)
     options = parser.parse_args()
-    settings = dsrc.LoopSettings(detect_every_s=0.2)
-    for name in ("own_detector:Clusters", "truth"):
+    settings = dsrc.LoopSettings(detect_every_s=0.2, duration_s=options.duration_s)
+    for name in (f"{Path(__file__).stem}:Clusters", "truth"):
         loop = dsrc.ClosedLoop(options.scenario, dsrc.open_perception(name, interval_s=0.2), settings=settings)
         outcome = loop.run(options.seed)
         found = dsrc.episode_metrics(loop.log(perception=name))
-        print(f"{name:22s} {outcome.value}, driving score {found.driving_score_2_1:.2f}, {found.progress_m:.0f} m")
+        print(f"{name:25s} {outcome.value}, driving score {found.driving_score_2_1:.2f}, {found.progress_m:.0f} m")
 
 
 if __name__ == "__main__":

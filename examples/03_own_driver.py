@@ -1,8 +1,8 @@
 """A driver of one's own in the closed loop: it brakes for whatever is near its way, and does not predict.
 
 Usage:
-    python examples/own_driver.py
-    python examples/own_driver.py --scenario red_light_runner --seeds 5
+    python examples/03_own_driver.py
+    python examples/03_own_driver.py --scenario red_light_runner --seeds 5
 """
 
 import argparse
