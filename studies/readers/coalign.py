@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import dsrc
-from studies.readers.opencood import parsed, raise_to, told
+from studies.readers.opencood import checkout, parsed, raise_to, told
 
 
 def main() -> None:
@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--coalign", type=Path, required=True, help="checkout with a package opencood")
     parser.add_argument("--split", default="test", help="split of the tree; default: test")
     options = parsed(parser, __doc__)
-    sys.path.insert(0, str(options.coalign.resolve()))
+    checkout(options.coalign)
     loader = importlib.import_module("opencood.data_utils.datasets.basedataset.dairv2x_basedataset")
     split = str(options.tree / f"{options.split}.json")
     settings = {

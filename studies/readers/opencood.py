@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import cm, colormaps
 from numpy.typing import NDArray
 
 import dsrc
@@ -31,7 +32,7 @@ def main() -> None:
     parser.add_argument("--opencood", type=Path, required=True, help="checkout with a package opencood")
     parser.add_argument("--frames", type=int, default=10, help="frames of each drive, evenly spread; default: 10")
     options = parsed(parser, __doc__)
-    sys.path.insert(0, str(options.opencood.resolve()))
+    checkout(options.opencood)
     base = importlib.import_module("opencood.data_utils.datasets.basedataset").BaseDataset
     settings = {"data_augment": [], "root_dir": str(options.data), "validate_dir": str(options.data)}
     theirs = base(settings, visualize=False, train=False)
@@ -46,6 +47,14 @@ def main() -> None:
             compare(drive.read(row), theirs.retrieve_base_data(first + row), totals)
         first += len(drive)
     told(totals)
+
+
+def checkout(folder: Path) -> None:
+    """Make the packages of a checkout importable, with two names that today's matplotlib and numpy no longer have."""
+    sys.path.insert(0, str(folder.resolve()))
+    for module, name, value in ((cm, "get_cmap", colormaps.get_cmap), (np, "Inf", np.inf)):
+        if not hasattr(module, name):
+            setattr(module, name, value)
 
 
 def parsed(parser: argparse.ArgumentParser, text: str | None) -> argparse.Namespace:

@@ -17,8 +17,11 @@ FAKE_LOADER = '''
 from pathlib import Path
 
 import numpy as np
+from matplotlib import cm
 
 from tests.dsrc.data.loaders import opv2v
+
+COLORS, FAR = cm.get_cmap("viridis").colors, np.Inf  # as code of before matplotlib 3.11 and numpy 2 has it
 
 
 class BaseDataset:
