@@ -3,11 +3,11 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
-# Builds of PyTorch for the CPU; on Linux the registry's build brings gigabytes of CUDA. For a GPU:
-# make clean test TORCH_INDEX=https://pypi.org/simple
+# Index of PyTorch's builds: for the CPU; of another one, or a mirror: make clean test TORCH_INDEX=URL, such as
+# https://download.pytorch.org/whl/cu128 for a GPU.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
-.PHONY: demo test test-slow test-browser test-explore fuzz lint format docs clean
+.PHONY: demo test test-extras test-slow test-browser test-explore fuzz lint format docs docs-pages clean
 
 # An interrupted demo resumes.
 demo: $(READY)
@@ -15,6 +15,11 @@ demo: $(READY)
 
 test: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+
+# Tests of optional packages: ONNX, Ray, MCAP, stable-baselines3.
+test-extras: $(READY)
+	$(INSTALL) --editable '.[dev,onnx,ray,mcap,rl]'
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $$(grep -rl --include 'test_*.py' importorskip tests)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow --timeout 1800
@@ -39,11 +44,15 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# The site in docs/_site, with review pages of some scenarios; a warning is an error.
-docs: $(READY) docs/_pages/four_way.html docs/_pages/ima_queue.html docs/_pages/helsinki.html
+# The site in docs/_site; a warning is an error.
+docs: $(READY)
 	$(INSTALL) --editable '.[docs]'
 	rm -rf docs/_site
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs docs/_site
+
+# The same with review pages of some scenarios; minutes.
+docs-pages: docs/_pages/four_way.html docs/_pages/ima_queue.html docs/_pages/helsinki.html
+	$(MAKE) docs
 
 docs/_pages/%.html: $(READY)
 	mkdir -p $(@D)

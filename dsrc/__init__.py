@@ -7,6 +7,7 @@ minor versions; modules below it may move.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import dsrc.hidden as _hidden  # noqa: F401 - before anything of sim is imported
 import dsrc.outputs as _outputs  # noqa: F401 - whoever writes knows what may be replaced
 
 if TYPE_CHECKING:

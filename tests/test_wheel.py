@@ -72,8 +72,11 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def wheel_of(project: Path, out: Path) -> tuple[Path, str]:
-    """Return the wheel of a project, and what its build said."""
-    said = run(sys.executable, "-m", "pip", "wheel", "--verbose", "--no-deps", "--wheel-dir", out, project, cwd=out)
+    """Return the wheel of a project, made of its source distribution, and what its build said."""
+    builder = out / "builder"
+    run(sys.executable, "-m", "venv", builder, cwd=out)
+    run(builder / "bin/pip", "install", "--quiet", "build", cwd=out)
+    said = run(builder / "bin/python", "-m", "build", "--outdir", out, project, cwd=out)
     return next(out.glob("*.whl")), said
 
 
@@ -132,4 +135,6 @@ def test_the_sensors_alone_are_of_the_version_and_need_packages_of_the_versions_
         tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"] for folder in ("", "packaging/sensors")
     )
     assert part["version"] == whole["version"]
+    assert part["authors"] == whole["authors"]
+    assert (ROOT / "packaging/sensors/LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
     assert set(part["dependencies"]) <= set(whole["dependencies"])

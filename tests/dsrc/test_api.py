@@ -16,7 +16,7 @@ def test_importing_dsrc_imports_no_other_distribution() -> None:
     code = "import sys; before = set(sys.modules); import dsrc; print(*sorted(set(sys.modules) - before))"
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     found = {name for name in run.stdout.split() if name.split(".")[0] not in sys.stdlib_module_names}
-    assert found == {"dsrc", "dsrc.outputs", "sim", "sim.errors", "sim.files"}
+    assert found == {"dsrc", "dsrc.hidden", "dsrc.outputs", "sim", "sim.errors", "sim.files"}
 
 
 @pytest.mark.parametrize("name", dsrc.__all__)
