@@ -289,7 +289,7 @@ def test_an_agent_that_does_not_exist_ends_the_campaign(tmp_path: Path) -> None:
         perceptions=(PerceptionSpec(name="team"),),
         loop=LoopSettings(duration_s=0.5),
     )
-    with pytest.raises(SettingsError, match=r"who: expected ids .* found 999999"):
+    with pytest.raises(SettingsError, match=r"expected ids .* found 999999"):
         run_campaign(plan, tmp_path)
 
 

@@ -156,6 +156,6 @@ def test_the_loop_shows_every_step_to_who_watches():
 
 
 def test_one_episode_alone_is_shown_while_it_is_driven():
-    for options, found in (({"seed": (0, 1)}, "2 episodes"), ({"critical": "severity"}, "a search or a log")):
-        with pytest.raises(SettingsError, match=f"drive: view: .*found {found}"):
+    for options, told in (({"seed": (0, 1)}, "--view shows one episode"), ({"critical": "severity"}, "--view")):
+        with pytest.raises(SettingsError, match=f"drive: .*{told}"):
             Drive(what="four_way", view=True, **options).run()
