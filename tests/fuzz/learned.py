@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from msgspec.structs import replace
 
-from dsrc.closed_loop.campaign.episode import EpisodeResult
-from dsrc.closed_loop.campaign.run import read_result, results_csv
+from dsrc.closed_loop.campaign.episode import EPISODES, EpisodeResult
+from dsrc.closed_loop.campaign.run import results_csv
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.cache import read_settings as cell_settings
 from dsrc.evaluation.evaluate import evaluate_drives
@@ -80,7 +80,7 @@ def _results(folder: Path) -> list[Target]:
     driven.write_text(json.dumps(words | {"severity": 3, "seed": 1, "detectable": True, "metrics": {"risk": 0.5}}))
 
     def told(_: Path) -> object:
-        result = read_result(episodes, "a")
+        result = EPISODES.find(episodes, "a")
         return None if result is None else results_csv([result])
 
     def judged(_: Path) -> object:

@@ -1,4 +1,4 @@
-"""Computation of episodes, the unit of work of a campaign.
+"""Study of episodes: the jobs of a campaign.
 
 All that this module imports, at any depth, is hashed into the keys of episodes, see `sim.kept.code_hash`.
 """
@@ -19,8 +19,12 @@ from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.metrics.episode import episode_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Driver, Perception
+from dsrc.data.jsonio import read_json
+from dsrc.runs.executors import Progress
+from dsrc.runs.study import Study, Unit
 from sensors.corruptions import CLEAN, Condition
 from sim.boxes import CLASSES
+from sim.errors import DataError, complaint
 from sim.files import write_file
 from sim.scenario import Scenario
 
@@ -104,32 +108,33 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
     metrics: dict[str, float | None]
 
 
-class WorkUnit(msgspec.Struct, frozen=True):
-    """Episodes of one scenario and seed by one perception.
-
-    Attributes:
-        folder: of the cells.
-        episodes: settings by key.
-    """
-
-    folder: str
-    episodes: tuple[tuple[str, EpisodeJob], ...]
+def read_result(folder: Path, key: str) -> EpisodeResult:
+    """Read the result of an episode; raises DataError where it, or its log, is missing or damaged."""
+    path = folder / f"{key}.json"
+    if not (folder / f"{key}.npz").is_file():
+        raise DataError(complaint(folder / f"{key}.npz", "episode", "its log", "none"))
+    return read_json(path, EpisodeResult)
 
 
-def drive_unit(unit: WorkUnit, report: Callable[[int, int], None]) -> None:
-    """Drive the episodes of a unit and write their cells; the task of a worker.
-
-    A cell is KEY.npz with the log and then KEY.json with the result: one that exists is complete.
-
-    Args:
-        report: called with episodes done and episodes in all.
-    """
-    for done, (key, job) in enumerate(unit.episodes, start=1):
+def drive_unit(unit: Unit[EpisodeJob], progress: Progress) -> None:
+    """Drive episodes and write their logs and results."""
+    for done, (key, job) in enumerate(unit.jobs.items(), start=1):
         log = drive_episode(job)
-        log.save(Path(unit.folder) / f"{key}.npz")
+        log.save(unit.folder / f"{key}.npz")
         result = result_of(key, job, log)
-        write_file(Path(unit.folder) / f"{key}.json", msgspec.json.encode(result, order="deterministic"))
-        report(done, len(unit.episodes))
+        write_file(unit.folder / f"{key}.json", msgspec.json.encode(result, order="deterministic"))
+        progress(done, len(unit.jobs))
+
+
+EPISODES: Study[EpisodeJob, EpisodeResult] = Study(
+    task=drive_unit,
+    alike=lambda job: (job.scenario, job.seed, job.uses),  # they share a world and a proof
+    steps=lambda _: 1,
+    endings=(".npz", ".json"),
+    read=read_result,
+    settings=lambda _: None,  # a log does not hold all that decides it
+    stored=lambda _folder, _key: None,
+)
 
 
 def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = None) -> EpisodeLog:

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 import msgspec
 
-from dsrc.closed_loop.campaign.episode import DRIVERS, EpisodeJob, EpisodeResult, WorkUnit, drive_unit, probe_s
+from dsrc.closed_loop.campaign.episode import DRIVERS, EPISODES, EpisodeJob, EpisodeResult, probe_s
 from dsrc.closed_loop.campaign.plan import (
     Campaign,
     campaign_of,
@@ -38,7 +38,7 @@ from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.tables.files import csv_text
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Condition
-from sim.errors import DataError, SettingsError, UserError, complaint, option
+from sim.errors import DataError, SettingsError, complaint, option
 from sim.files import write_file
 from sim.machine import core_count
 from sim.radio import IDEAL
@@ -112,15 +112,15 @@ def run_campaign(
         folder.mkdir(parents=True, exist_ok=True)
         controls: tuple[EpisodeResult, ...] = ()
         made = 0
-        there = _There.of(out, known)
-        if there.known:
-            write_file(out / _REUSED, results_csv(there.known.values()))
+        episodes = _Episodes.of(out, known)
+        if episodes.known:
+            write_file(out / _REUSED, results_csv(episodes.known.values()))
         if controls_plan is not None:
-            controls, made = _driven(episodes_of(controls_plan), there, pool, progress)
+            controls, made = episodes.drive(episodes_of(controls_plan), pool, progress)
             write_file(out / "controls.csv", results_csv(controls))
             _require_controls(controls, out)
         own, reference = episodes_of(plan), _reference(plan)
-        both, more = _driven([*own, *reference], there, pool, progress)
+        both, more = episodes.drive([*own, *reference], pool, progress)
         results, careful = both[: len(own)], both[len(own) :]
         write_file(out / "plan.json", msgspec.json.format(msgspec.json.encode(plan)))
         write_file(out / "results.csv", results_csv(results))
@@ -184,67 +184,38 @@ def reused(plan: Campaign, known: Mapping[str, EpisodeResult]) -> int:
     return len({key_of(job) for job in jobs} & known.keys())
 
 
-def read_result(folder: Path, key: str) -> EpisodeResult | None:
-    """Return the result of an episode; None where it is missing or damaged."""
-    path = folder / f"{key}.json"
-    if not path.is_file() or not (folder / f"{key}.npz").is_file():
-        return None
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=EpisodeResult)
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        return None
-
-
 @dataclass(frozen=True, slots=True)
-class _There:
-    """Results that are there: of a folder of episodes, and known from elsewhere."""
+class _Episodes:
+    """Results of a campaign: in its folder, and known from elsewhere."""
 
     folder: Path
     known: Mapping[str, EpisodeResult]
 
     @classmethod
     def of(cls, out: Path, known: Mapping[str, EpisodeResult] | None) -> Self:
-        """Return what is there of a campaign's folder, with what it was given in an earlier run."""
-        kept = out / _REUSED
-        before = read_results([kept]) if kept.is_file() else {}
+        """Return the results of a campaign's folder, with those that it was given in an earlier run."""
+        listed = out / _REUSED
+        before = read_results([listed]) if listed.is_file() else {}
         return cls(out / "episodes", before | dict(known or {}))
 
-    def get(self, key: str) -> EpisodeResult | None:
+    def find(self, key: str) -> EpisodeResult | None:
         """Return the result of an episode; None where it is missing or damaged."""
-        return read_result(self.folder, key) or self.known.get(key)
+        return EPISODES.find(self.folder, key) or self.known.get(key)
 
+    def drive(
+        self, jobs: Sequence[EpisodeJob], pool: Pool, progress: Progress | None
+    ) -> tuple[tuple[EpisodeResult, ...], int]:
+        """Drive the episodes that are missing; return all results and the number driven."""
+        keyed = {key_of(job): job for job in jobs}
+        made = EPISODES.run(self.folder, {k: job for k, job in keyed.items() if k not in self.known}, pool, progress)
+        return tuple(self._named(key_of(job), job) for job in jobs), made
 
-def _driven(
-    episodes: Sequence[EpisodeJob], there: _There, pool: Pool, progress: Progress | None
-) -> tuple[tuple[EpisodeResult, ...], int]:
-    keyed = {key_of(job): job for job in episodes}
-    missing = {key: one for key, one in keyed.items() if there.get(key) is None}
-    units = [
-        WorkUnit(str(there.folder), tuple(group))
-        for _, group in groupby(missing.items(), key=lambda entry: (entry[1].scenario, entry[1].seed, entry[1].uses))
-    ]
-    done = [0] * len(units)
-
-    def follow(row: int, count: int, _: int) -> None:
-        done[row] = count
-        if progress is not None:
-            progress(sum(done), len(missing))
-
-    failures: list[UserError] = []
-    if units:
-        with pool.open(len(units)) as executor:
-            failures = [r.error for r in executor.run(drive_unit, units, follow) if r.error is not None]
-    if failures:
-        raise failures[0]
-    return tuple(_named(there, key_of(job), job) for job in episodes), len(missing)
-
-
-def _named(there: _There, key: str, job: EpisodeJob) -> EpisodeResult:
-    """Return a result under the names of this campaign: two names may share a cell."""
-    result = there.get(key)
-    if result is None:
-        raise DataError(complaint(there.folder / f"{key}.json", "episode", "a whole one", "a damaged one"))
-    return msgspec.structs.replace(result, scenario=job.scenario, perception=job.perception, channel=job.channel)
+    def _named(self, key: str, job: EpisodeJob) -> EpisodeResult:
+        """Return a result under the names of this campaign: two names may share an episode."""
+        result = self.find(key)
+        if result is None:
+            raise DataError(complaint(self.folder / f"{key}.json", "episode", "a whole one", "a damaged one"))
+        return msgspec.structs.replace(result, scenario=job.scenario, perception=job.perception, channel=job.channel)
 
 
 def _require_controls(controls: Sequence[EpisodeResult], out: Path) -> None:
@@ -267,10 +238,10 @@ def estimate_s(
     Args:
         known: results of episodes that are not driven again, by key.
     """
-    there = _There.of(out, known)
+    episodes = _Episodes.of(out, known)
     controls = controls_of(plan) if plan.controls else None
     jobs = [*(episodes_of(controls) if controls else []), *episodes_of(plan), *_reference(plan)]
-    found = {key: there.get(key) for key in dict.fromkeys(map(key_of, jobs))}
+    found = {key: episodes.find(key) for key in dict.fromkeys(map(key_of, jobs))}
     missing = [job for job in {key_of(job): job for job in jobs}.values() if found[key_of(job)] is None]
     driven = [one.metrics["duration_s"] for one in found.values() if one is not None]
     known_s = [seconds for seconds in driven if seconds is not None]

@@ -69,6 +69,13 @@ def test_a_lost_episode_comes_back_with_the_same_bytes(driven: Path) -> None:
     assert [path.read_bytes() for path in files] == before
 
 
+def test_what_a_killed_run_left_is_removed_by_the_next_one(driven: Path) -> None:
+    left = driven / "episodes" / f".{rows(driven)[0]['key']}.npz.0123abcd.tmp"
+    left.write_bytes(b"half a log")
+    assert run_campaign(PLAN, driven).made == 0
+    assert not left.exists()
+
+
 def test_results_of_another_folder_are_not_driven_again(driven: Path, tmp_path: Path) -> None:
     known = read_results([driven / "results.csv"])
     assert reused(PLAN, known) == 4
