@@ -135,7 +135,7 @@ def deadly_corruptions(results: Sequence[Result], perceptions: Sequence[str] = (
         for axes in parts[len(names) :]:
             axes.set_visible(False)
         bar = figure.colorbar(ScalarMappable(scale, _CMAP), ax=parts, fraction=0.025, pad=0.01)
-        bar.set_label("collision rate minus clean, points (bold: p < 0.05)")
+        bar.set_label("collision rate minus clean,\npoints (bold: p < 0.05)")
         bar.outline.set_visible(False)  # type: ignore[operator]
     return figure
 

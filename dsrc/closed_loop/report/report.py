@@ -6,10 +6,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.metrics.comparison import Result
 from dsrc.closed_loop.report.tables import NAMES, parts_of, tables
+from dsrc.runs.provenance import provenance
 from dsrc.tables.document import Section, check_document, publish
 from sensors.corruptions import CLEAN
 from sim.files import write_file
@@ -32,9 +35,10 @@ def write_report(result: CampaignResult, out: Path) -> list[Path]:
     from dsrc.tables.figure import write_figure
 
     pictures, plots = [], _plots(result)
+    made_by = provenance(msgspec.to_builtins(result.plan), seed=0)  # the seeds are in the plan
     for name, plot in plots.items():
         path = out / f"{name}.png"
-        write_figure(path, plot())
+        write_figure(path, plot(), made_by)
         pictures.append(path)
     for name in _PICTURES.keys() - plots.keys():
         (out / f"{name}.png").unlink(missing_ok=True)  # of a run before

@@ -362,9 +362,9 @@ def _draw(out: Path, card: Card) -> None:
         points.bar(middle, np.sum([drive.range for drive in card.drives], axis=0), width=4.5, color=COLORS[0])
         points.set(xlabel="distance from the sensor, m", ylabel="points", yscale="symlog")
         base = np.zeros(len(DISTANCE_M))
-        for name in CLASSES:
+        for name, color in zip(CLASSES, COLORS, strict=False):
             counts = np.sum([drive.boxes[name] for drive in card.drives], axis=0)
-            boxes.bar(np.arange(len(base)), counts, bottom=base, label=name)
+            boxes.bar(np.arange(len(base)), counts, bottom=base, color=color, label=name)
             base = base + counts
         boxes.set_xticks(np.arange(len(base)), [*(f"{low:.0f}" for low in DISTANCE_M)])
         boxes.set(xlabel="distance to the ego, m, from", ylabel="boxes")

@@ -94,7 +94,9 @@ def _panel(axes: Axes, scores: Mapping[str, Score], protocols: Sequence[str]) ->
             places = np.arange(len(protocols)) + _SHIFT[space]
             values = [100 * _value(scores.get(protocol), space, threshold) for protocol in protocols]
             label = f"{_TITLES[space]}, IoU {threshold}"
-            axes.plot(values, places, linestyle="", marker=marker, color=color, markerfacecolor=face, label=label)
+            axes.plot(
+                values, places, marker, color=color, markerfacecolor=face, label=label, linestyle="", clip_on=False
+            )
     axes.set(xlim=(0, 100), ylim=(len(protocols) - 0.5, -0.5), xlabel="average precision, %")
 
 

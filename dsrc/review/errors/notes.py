@@ -1,7 +1,5 @@
 """NoteBook: notes and tags of errors, a JSON beside the run, and errors with their notes as CSV."""
 
-import csv
-import io
 import os
 import threading
 from collections.abc import Iterable, Iterator
@@ -14,6 +12,7 @@ from msgspec import Meta
 
 from dsrc.review.errors.filters import FP, KINDS, SEERS
 from dsrc.review.errors.index import ErrorTable
+from dsrc.tables.files import csv_text
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
 from sim.files import write_file
@@ -188,29 +187,27 @@ def errors_csv(drive: str, errors: ErrorTable, notes: NoteBook | None = None) ->
         notes: on them; None for none.
     """
     seers = {value: name for name, value in SEERS.items()}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     boxes = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
     points = ("points_ego", "points_all", "points_left_ego", "points_left_all")
     head = ("drive", "frame", "method", "condition", "kind", "class", "object_id", "score", "iou", "distance_m")
-    writer.writerow([*head, *boxes, *points, "seen_by", "loss", "tags", "note"])
+    names = (*head, *boxes, *points, "seen_by", "loss", "tags", "note")
+    records = []
     for row in range(len(errors)):
         keys = error_key(drive, errors, row), former_key(drive, errors, row)
         note = (notes.get(*keys) if notes is not None else None) or Note()
         method, label, score = int(errors.method[row]), int(errors.label[row]), float(errors.score[row])
-        writer.writerow(
-            [
-                *(drive, int(errors.frame[row]), errors.methods[method], errors.conditions[method]),
-                *(KINDS[errors.kind[row]], "" if label < 0 else CLASSES[label]),
-                *("" if errors.object_id[row] < 0 else int(errors.object_id[row]), _shown(score, 4)),
-                *(_shown(float(errors.iou[row]), 4), _shown(float(errors.distance_m[row]), 2)),
-                *(_shown(value, 3) for value in errors.box[row].tolist()),
-                *("" if value < 0 else value for value in errors.points[row].tolist()),
-                *(seers.get(int(errors.seen_by[row]), ""), _shown(float(errors.loss[row]), 4)),
-                *(" ".join(note.tags), note.text),
-            ]
+        values = (
+            *(drive, int(errors.frame[row]), errors.methods[method], errors.conditions[method]),
+            *(KINDS[errors.kind[row]], "" if label < 0 else CLASSES[label]),
+            *("" if errors.object_id[row] < 0 else int(errors.object_id[row]), _shown(score, 4)),
+            *(_shown(float(errors.iou[row]), 4), _shown(float(errors.distance_m[row]), 2)),
+            *(_shown(value, 3) for value in errors.box[row].tolist()),
+            *("" if value < 0 else value for value in errors.points[row].tolist()),
+            *(seers.get(int(errors.seen_by[row]), ""), _shown(float(errors.loss[row]), 4)),
+            *(" ".join(note.tags), note.text),
         )
-    return text.getvalue()
+        records.append(dict(zip(names, values, strict=True)))
+    return csv_text(records, names)
 
 
 def _shown(value: float, digits: int) -> str:
