@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dsrc.evaluation.detect import MethodResult
 from dsrc.evaluation.detection_table import read_table
 from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, Matches
-from dsrc.runs.study import key_of
+from dsrc.runs.unit import key_of
 from sim.errors import DataError, complaint
 from sim.files import write_file
 from sim.packed import read_arrays

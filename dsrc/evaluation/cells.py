@@ -11,14 +11,13 @@ from pathlib import Path
 import msgspec
 
 from dsrc.data.drives import Drive, open_drive
-from dsrc.evaluation.cache import CellSettings, read_cell, read_settings, write_cell
-from dsrc.evaluation.detect import Method, MethodResult, evaluate_drive
+from dsrc.evaluation.cache import CellSettings, write_cell
+from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.models.threads import one_thread
-from dsrc.runs.executors import Progress
-from dsrc.runs.study import Study, Unit
+from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import Condition
 from sim.errors import SettingsError
 from sim.radio import ChannelSpec
@@ -62,17 +61,6 @@ def make_cells(unit: Unit[CellJob], progress: Progress) -> None:
         results = evaluate_drive(drive_of(first.drive), positions, work, first.settings.seed, count_frame)
     for key, job in unit.jobs.items():
         write_cell(unit.folder, job.settings, results[first.condition, key])
-
-
-CELLS: Study[CellJob, MethodResult] = Study(
-    task=make_cells,
-    alike=lambda job: (job.drive, job.settings.positions, job.condition),
-    steps=lambda job: len(job.settings.positions),
-    endings=(".seconds", ".npz"),
-    read=read_cell,
-    settings=lambda job: job.settings,
-    stored=read_settings,
-)
 
 
 def load_adjusted(path: Path, use: Mapping[str, bool | int | float | str], engine: str = "fused") -> Detector:

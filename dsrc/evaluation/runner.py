@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.evaluation.cache import CellSettings, read_cell
-from dsrc.evaluation.cells import CELLS, CellJob, load_adjusted, make_cells
+from dsrc.evaluation.cache import CellSettings, read_cell, read_settings
+from dsrc.evaluation.cells import CellJob, load_adjusted, make_cells
 from dsrc.evaluation.conditions import channel_settings
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
 from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
@@ -26,7 +26,7 @@ from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import read_meta
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
-from dsrc.runs.study import reuse_entry
+from dsrc.runs.study import Study, reuse_entry
 from sim.errors import SettingsError, complaint
 from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, versions_with
@@ -40,6 +40,16 @@ VISIBILITY = {"hidden": (0.0, 0.1), "partly": (0.1, 0.6), "open": (0.6, 1.01)}
 """Classes of true boxes by visibility from the ego: the share of its rays on a box that nothing else stops.
 
 A box so far away that no ray reaches it even in free view is hidden."""
+
+CELLS: Study[CellJob, MethodResult] = Study(
+    task=make_cells,
+    alike=lambda job: (job.drive, job.settings.positions, job.condition),
+    steps=lambda job: len(job.settings.positions),
+    endings=(".seconds", ".npz"),
+    read=read_cell,
+    settings=lambda job: job.settings,
+    stored=read_settings,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,11 +20,9 @@ from typing import Any, Literal, Protocol, Self
 
 import msgspec
 
+from dsrc.runs.unit import Progress
 from sim.errors import DataError, SettingsError, UserError, complaint, did_you_mean
 from sim.machine import core_count
-
-Progress = Callable[[int, int], None]
-"""Progress callback: (steps done, steps in all)."""
 
 Task = Callable[[Any, Progress], Any]
 """Task: (item, progress) -> value; a function of a module."""

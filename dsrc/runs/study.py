@@ -4,7 +4,6 @@ A run computes the results that are missing or damaged, so an interrupted one re
 new. Results of earlier code can be reused, where all else that decides them agrees: `REUSED` lists these.
 """
 
-import hashlib
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +11,9 @@ from typing import Any, Generic, TypeVar
 
 import msgspec
 
-from dsrc.runs.executors import Pool, Progress
+from dsrc.runs.executors import Pool
 from dsrc.runs.jobs import run_jobs
+from dsrc.runs.unit import Progress, Unit, key_of
 from sim.errors import DataError, complaint
 from sim.files import remove_leftovers, write_file
 
@@ -24,19 +24,6 @@ _CODE = ("code", "versions", "reused")
 
 J = TypeVar("J")
 R = TypeVar("R")
-
-
-@dataclass(frozen=True, slots=True)
-class Unit(Generic[J]):
-    """Jobs that one worker does, one after the other.
-
-    Attributes:
-        folder: of the results.
-        jobs: by key.
-    """
-
-    folder: Path
-    jobs: dict[str, J]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,11 +117,6 @@ class Study(Generic[J, R]):
             return self.stored(folder, key)
         except DataError:
             return None
-
-
-def key_of(settings: Any) -> str:
-    """Key of a result: hash of all that decides it, 32 hexadecimal digits."""
-    return hashlib.sha256(msgspec.json.encode(settings, order="deterministic")).hexdigest()[:32]
 
 
 def signature(settings: Any) -> str:

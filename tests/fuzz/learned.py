@@ -9,8 +9,7 @@ from typing import Any
 import torch
 from msgspec.structs import replace
 
-from dsrc.closed_loop.campaign.episode import EPISODES, EpisodeResult
-from dsrc.closed_loop.campaign.run import results_csv
+from dsrc.closed_loop.campaign.run import EPISODES, EpisodeResult, results_csv
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.cache import read_settings as cell_settings
 from dsrc.evaluation.evaluate import evaluate_drives

@@ -20,8 +20,7 @@ from dsrc.closed_loop.metrics.episode import episode_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Driver, Perception
 from dsrc.data.jsonio import read_json
-from dsrc.runs.executors import Progress
-from dsrc.runs.study import Study, Unit
+from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import CLEAN, Condition
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
@@ -124,17 +123,6 @@ def drive_unit(unit: Unit[EpisodeJob], progress: Progress) -> None:
         result = result_of(key, job, log)
         write_file(unit.folder / f"{key}.json", msgspec.json.encode(result, order="deterministic"))
         progress(done, len(unit.jobs))
-
-
-EPISODES: Study[EpisodeJob, EpisodeResult] = Study(
-    task=drive_unit,
-    alike=lambda job: (job.scenario, job.seed, job.uses),  # they share a world and a proof
-    steps=lambda _: 1,
-    endings=(".npz", ".json"),
-    read=read_result,
-    settings=lambda _: None,  # a log does not hold all that decides it
-    stored=lambda _folder, _key: None,
-)
 
 
 def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = None) -> EpisodeLog:

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 import msgspec
 
-from dsrc.closed_loop.campaign.episode import DRIVERS, EPISODES, EpisodeJob, EpisodeResult, probe_s
+from dsrc.closed_loop.campaign.episode import DRIVERS, EpisodeJob, EpisodeResult, drive_unit, probe_s, read_result
 from dsrc.closed_loop.campaign.plan import (
     Campaign,
     campaign_of,
@@ -36,6 +36,7 @@ from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
+from dsrc.runs.study import Study
 from dsrc.tables.files import csv_text
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Condition
 from sim.errors import DataError, SettingsError, complaint, option
@@ -47,6 +48,16 @@ from sim.reading import parsing, read_text
 _COLUMNS = tuple(name for name in EpisodeResult.__struct_fields__ if name != "metrics")
 _REUSED = "reused.csv"
 """Results of earlier runs in a campaign's folder."""
+
+EPISODES: Study[EpisodeJob, EpisodeResult] = Study(
+    task=drive_unit,
+    alike=lambda job: (job.scenario, job.seed, job.uses),  # they share a world and a proof
+    steps=lambda _: 1,
+    endings=(".npz", ".json"),
+    read=read_result,
+    settings=lambda _: None,  # a log does not hold all that decides it
+    stored=lambda _folder, _key: None,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,7 @@ from dsrc.evaluation.detect import FrameHistory, corrupted, interval_of
 from dsrc.evaluation.sharing.shares import Shares, share_sample
 from dsrc.models.channel import Receiver
 from dsrc.models.threads import one_thread
-from dsrc.runs.executors import Progress
-from dsrc.runs.study import Study, Unit
+from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import drive_seed
 from sim.files import write_file
 
@@ -164,12 +163,6 @@ def _rows(shares: Shares, heard: Sample, whole: Sample, drive: str, condition: s
     return rows
 
 
-SHARES: Study[CellJob, Sequence[ShareRow]] = Study(
-    task=make_share_cells,
-    alike=lambda job: job.settings.key,
-    steps=lambda job: len(job.settings.positions),
-    endings=(".json",),
-    read=read_share_cell,
-    settings=lambda job: job.settings,
-    stored=lambda folder, key: read_json(folder / f"{key}.json", _Rows).settings,
-)
+def read_share_settings(folder: Path, key: str) -> ShareSettings:
+    """Settings of a cell; raises DataError where it is missing or damaged."""
+    return read_json(folder / f"{key}.json", _Rows).settings

@@ -11,7 +11,13 @@ from dsrc.evaluation.cells import CellJob
 from dsrc.evaluation.conditions import channel_settings, check_numbers
 from dsrc.evaluation.detect import frame_positions
 from dsrc.evaluation.runner import check_device
-from dsrc.evaluation.sharing.cells import SHARES, ShareRow, ShareSettings, make_share_cells, read_share_cell
+from dsrc.evaluation.sharing.cells import (
+    ShareRow,
+    ShareSettings,
+    make_share_cells,
+    read_share_cell,
+    read_share_settings,
+)
 from dsrc.evaluation.sharing.shares import MOST_AGENTS, check_iou
 from dsrc.evaluation.stored import StoredDrive
 from dsrc.models.fusion import FUSIONS, Fusion
@@ -20,7 +26,7 @@ from dsrc.options.detection import Sharing
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.runs.provenance import provenance
-from dsrc.runs.study import reuse_entry
+from dsrc.runs.study import Study, reuse_entry
 from sensors.corruptions import Condition, conditions_of
 from sim.errors import DataError, complaint
 from sim.files import file_sha256
@@ -29,6 +35,16 @@ from sim.radio import get_channel
 
 CHUNK = 10
 """Frames of a cell, the most that an interruption loses: each is detected in by up to 32 teams."""
+
+SHARES: Study[CellJob, Sequence[ShareRow]] = Study(
+    task=make_share_cells,
+    alike=lambda job: job.settings.key,
+    steps=lambda job: len(job.settings.positions),
+    endings=(".json",),
+    read=read_share_cell,
+    settings=lambda job: job.settings,
+    stored=read_share_settings,
+)
 
 
 def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None = None) -> list[ShareRow]:

@@ -57,6 +57,8 @@ OTHER = (
     "dsrc/__init__.py",
     "dsrc/review/state.py",
     "dsrc/cli/main.py",
+    "dsrc/runs/executors.py",
+    "dsrc/runs/study.py",
     "dsrc/training/train.py",
     "dsrc/evaluation/figures/bars.py",
     "dsrc/evaluation/report/report.py",
