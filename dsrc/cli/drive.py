@@ -128,7 +128,10 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             places = list(write_report(result, out))
             if self.docs is not None:
                 places += [publish_report(result, out, self.docs), self.docs]
-            made(places, "results, tables and logs of episodes", "view", out)
+            if any((out / "episodes").glob("*.npz")):
+                made(places, "results, tables and logs of episodes", "view", out)
+            else:  # all results are of an earlier run
+                made(places, "results and tables")
 
     def _watch(self) -> None:
         """Drive one episode before the eyes of a page; its log goes to `out`."""

@@ -5,16 +5,16 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from inspect import getdoc
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 from tyro.conf import Positional
 
 from dsrc.cli.progress import made
 from dsrc.cli.toml_files import require_kind
-from dsrc.options.fields import File, Folder, Scenario
+from dsrc.options.fields import File, Folder, Scenario, choice
 
-Things = Literal["lidars", "corruptions", "scenarios", "methods", "recipes", "channels"]
+NAMED = ("lidars", "corruptions", "scenarios", "methods", "recipes", "channels")
 
 
 class ListNames(msgspec.Struct, frozen=True):
@@ -25,19 +25,27 @@ class ListNames(msgspec.Struct, frozen=True):
         dsrc list corruptions
 
     Attributes:
-        things: kind of the names.
+        what: what to list.
     """
 
-    things: Positional[Things]
+    what: Positional[Annotated[str, choice(NAMED)]]
 
     def run(self) -> None:
         """Print a line for each."""
-        print_names(self.things)
+        print_names(self.what)
 
 
-def print_names(things: Things) -> None:
-    """Print the table of what has a name, its columns as wide as their longest cell."""
-    head, rows = _TABLES[things]()
+def print_names(what: str) -> None:
+    """Print the table of what has a name, its columns as wide as their longest cell.
+
+    Raises:
+        SettingsError: nothing of that word has names.
+    """
+    from sim.errors import SettingsError, complaint, did_you_mean
+
+    if what not in _TABLES:
+        raise SettingsError(complaint("list", "what", "something with names", what, did_you_mean(what, NAMED)))
+    head, rows = _TABLES[what]()
     cells = [head, *([str(cell) for cell in row] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     for line in cells:
@@ -109,7 +117,7 @@ def _channels() -> Table:
     return ("channel", "medium", "range m", "Mb/s", "delay s"), rows
 
 
-_TABLES: dict[Things, Callable[[], Table]] = {
+_TABLES: dict[str, Callable[[], Table]] = {
     "lidars": _lidars,
     "corruptions": _corruptions,
     "scenarios": _scenarios,

@@ -166,6 +166,7 @@ def _places(folder: Path, earlier: Iterable[Path], ending: str) -> list[Path]:
         places = [place for place in (given / folder.name, given) if any(place.glob(f"*{ending}"))]
         if not places:
             expected = f"a folder of results, with *{ending} in its {folder.name}/"
-            raise DataError(complaint(given, "reuse", expected, "none" if given.is_dir() else "no such folder"))
+            shown = "none" if given.is_dir() else "a file" if given.exists() else "no such folder"
+            raise DataError(complaint(given, "reuse", expected, shown))
         found.append(places[0])
     return found
