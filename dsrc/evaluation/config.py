@@ -53,7 +53,7 @@ from dsrc.options.detection import BenchmarkOptions
 from dsrc.options.fields import PLAN_NAMES
 from sensors.corruptions import EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.errors import SettingsError, complaint, did_you_mean, option
-from sim.radio import IDEAL, ChannelSpec, get_channel
+from sim.radio import IDEAL, ChannelSpec, Radio, get_channel
 from sim.settings import convert, read_toml
 
 _Texts = Annotated[tuple[str, ...], Meta(min_length=1)]
@@ -209,12 +209,9 @@ class Case:
 
     def spec(self) -> ChannelSpec:
         """Settings of the channel, those of the sweep included."""
-        spec = get_channel(self.channel)
-        if self.pose_error:
-            spec = replace(spec, position_error_m=self.pose_error, heading_error_deg=self.pose_error)
-        if self.delay_s:
-            spec = replace(spec, delay_s=self.delay_s)
-        return replace(spec, packet_loss=self.loss) if self.loss else spec
+        own = Radio.parse(self.channel)
+        changes = self.loss or own.loss, self.delay_s or own.delay_s, self.pose_error or own.pose_error
+        return Radio(own.channel, *changes).spec()
 
 
 def read_benchmark(path: Path) -> Benchmark:

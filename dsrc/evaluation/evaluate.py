@@ -45,11 +45,11 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
     Raises:
         UserError: a file, a drive or a setting is wrong.
     """
-    plan = plan_of_evaluation(config)
+    plan, channels = plan_of_evaluation(config), bool(config.radios(config.channels))
     result = run_plan(plan, config.out, pool, config.device, progress, config.engine, config.reuse)
     made_by = provenance_of(result)
-    entries = list(_labelled(result, bool(config.channels)))
-    rows = [_with_curves(entry, config.out / "cells", bool(config.channels)) for entry, _ in entries]
+    entries = list(_labelled(result, channels))
+    rows = [_with_curves(entry, config.out / "cells", channels) for entry, _ in entries]
     summaries = summary_rows(rows)
     write_results(config.out, made_by, [*entries, *_summary_entries(entries, summaries)])
     write_index(config.out, stored_index(result, entries))
@@ -95,7 +95,7 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
         severities=(config.severity,),
         families=(config.family,),
         who=config.who,
-        channels=config.channels or (IDEAL,),
+        channels=config.radios(config.channels) or (IDEAL,),
         seed=config.seed,
         limit=config.limit,
     )

@@ -16,7 +16,7 @@ from dsrc.options.fields import (
     Family,
     File,
     Folder,
-    Severity,
+    RadioChanges,
     Who,
     choice,
 )
@@ -49,7 +49,7 @@ PROTOCOLS = (
 """Names for the help text; `dsrc.evaluation.metrics.protocols` decides, a test compares."""
 
 
-class Evaluation(Severity, frozen=True, kw_only=True):
+class Evaluation(RadioChanges, frozen=True, kw_only=True):
     """Options of an evaluation.
 
     Attributes:
@@ -85,7 +85,7 @@ class Evaluation(Severity, frozen=True, kw_only=True):
     reuse: tuple[Folder, ...] = ()
 
 
-class Sharing(Severity, frozen=True, kw_only=True):
+class Sharing(RadioChanges, frozen=True, kw_only=True):
     """Options of the shares of agents in detections.
 
     Attributes:

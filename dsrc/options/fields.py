@@ -81,6 +81,28 @@ class Severity(msgspec.Struct, frozen=True, kw_only=True):
     family: Family = "physical"
 
 
+class RadioChanges(Severity, frozen=True, kw_only=True):
+    """Severity of corruptions, and changes of the radio channels.
+
+    Attributes:
+        loss: share of packets lost, 0 to 1, such as 0.3; default: the channel's.
+        delay_s: delay of messages, s; default: the channel's.
+        pose_error: pose error of the collaborators, m and deg; default: the channel's.
+    """
+
+    loss: float | None = None
+    delay_s: float | None = None
+    pose_error: float | None = None
+
+    def radios(self, channels: Sequence[str]) -> tuple[str, ...]:
+        """Return the channels as changed, of ideal ones where changes are given alone."""
+        if self.loss is self.delay_s is self.pose_error is None:
+            return tuple(channels)
+        from sim.radio import IDEAL, Radio
+
+        return tuple(Radio(one, self.loss, self.delay_s, self.pose_error).label for one in channels or (IDEAL,))
+
+
 class Output(msgspec.Struct, frozen=True, kw_only=True):
     """Treatment of files that are in the way.
 

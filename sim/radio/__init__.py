@@ -27,7 +27,7 @@ from sim.radio.budget import (
     path_loss_db,
 )
 from sim.radio.channel import LEAST_SHARE, MAX_AGE, Channel, Link, RadioSnapshot
-from sim.radio.spec import HEARING_M, IDEAL, PRESETS, ChannelSpec, Obstruction, get_channel
+from sim.radio.spec import HEARING_M, IDEAL, PRESETS, ChannelSpec, Obstruction, Radio, get_channel
 
 __all__ = [
     "Channel",
@@ -39,6 +39,7 @@ __all__ = [
     "MAX_AGE",
     "Obstruction",
     "PRESETS",
+    "Radio",
     "RadioSnapshot",
     "airtime_s",
     "cpm_bytes",

@@ -1,7 +1,10 @@
 """Settings of radio channels: presets by name."""
 
+import re
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Literal
+from math import inf
+from typing import Annotated, Literal, Self
 
 import msgspec
 from msgspec import Meta
@@ -114,13 +117,78 @@ PRESETS: dict[str, ChannelSpec] = {
 }
 
 
+_CHANGES = re.compile(r"^(?P<channel>.*?)(?P<changes>(,(loss|delay_s|pose_error)=[^,]*)*)$", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Radio:
+    """Radio of a study: a channel, and what is changed of it; None leaves the channel's own value.
+
+    Attributes:
+        channel: preset, or `trace:FILE`.
+        loss: probability of packet loss, 0 to 1.
+        delay_s: latency from measurement to sending, s.
+        pose_error: standard deviation of a sender's own position, m, and heading, degrees.
+    """
+
+    channel: str = IDEAL
+    loss: float | None = None
+    delay_s: float | None = None
+    pose_error: float | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the radio of a label such as `ideal,loss=0.3`.
+
+        Raises:
+            SettingsError: a value is no number.
+        """
+        found = _CHANGES.match(text)
+        assert found is not None  # it matches every text
+        changes = dict(part.split("=") for part in found["changes"].split(",")[1:])
+        try:
+            return cls(found["channel"], **{name: float(value) for name, value in changes.items()})
+        except ValueError:
+            raise SettingsError(complaint("channel", "changes", "numbers", text)) from None
+
+    @property
+    def label(self) -> str:
+        """Name in plans, tables and files, which `parse` reads."""
+        values = (("loss", self.loss), ("delay_s", self.delay_s), ("pose_error", self.pose_error))
+        return self.channel + "".join(f",{name}={value:g}" for name, value in values if value is not None)
+
+    def spec(self) -> ChannelSpec:
+        """Return the settings of the channel, the changes included.
+
+        Raises:
+            SettingsError: the preset is unknown, a trace is without its file, or a value out of its range.
+            DataError: the trace cannot be read.
+        """
+        spec = _preset(self.channel)
+        for field in ("loss", "delay_s", "pose_error"):
+            value, most = getattr(self, field), 1.0 if field == "loss" else inf
+            if value is not None and not 0.0 <= value <= most:
+                raise SettingsError(complaint("channel", field, f"0 to {most:g}", f"{value:g}"))
+        if self.pose_error is not None:
+            spec = replace(spec, position_error_m=self.pose_error, heading_error_deg=self.pose_error)
+        if self.delay_s is not None:
+            spec = replace(spec, delay_s=self.delay_s)
+        if self.loss is not None:
+            spec = replace(spec, packet_loss=self.loss)
+        return spec if self.label == self.channel else replace(spec, name=self.label)
+
+
 def get_channel(name: str) -> ChannelSpec:
-    """Return the settings of a preset; `trace:FILE` names the file of a trace.
+    """Return the settings of a preset, `trace:FILE`, or either with changes, such as `ideal,loss=0.3`; see `Radio`.
 
     Raises:
-        SettingsError: the preset is unknown, or a trace without its file.
+        SettingsError: the preset is unknown, a trace is without its file, or a change is wrong.
         DataError: the trace cannot be read.
     """
+    return Radio.parse(name).spec()
+
+
+def _preset(name: str) -> ChannelSpec:
     preset, _, file = name.partition(":")
     if preset not in PRESETS:
         choices = [f"{known}:FILE" if known == "trace" else known for known in PRESETS]

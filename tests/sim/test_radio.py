@@ -13,6 +13,7 @@ from sim.radio import (
     Channel,
     ChannelSpec,
     Obstruction,
+    Radio,
     RadioSnapshot,
     airtime_s,
     cpm_bytes,
@@ -271,3 +272,20 @@ def test_who_waits_for_its_turn_puts_nothing_on_air():
     older = channel.newest([at(n, places, 16_000) for n in range(8, -1, -1)], 1, 0)
     assert older.received and older.age_s > 0.0 and older.held and older.bytes_now == 0
     assert not any(Channel(PRESETS["ideal"], 1, 0.1).link(at(n, places), 1, 0).held for n in range(9))
+
+
+@pytest.mark.parametrize("radio", [Radio(), Radio("c-v2x", loss=0.3), Radio("paper", 0.0, 0.2, 0.4)])
+def test_the_label_of_a_radio_is_read_back(radio):
+    assert Radio.parse(radio.label) == radio
+
+
+def test_lost_packets_need_no_trace():
+    spec = get_channel("ideal,loss=0.3,delay_s=0.05,pose_error=0.2")
+    assert (spec.packet_loss, spec.delay_s, spec.position_error_m, spec.heading_error_deg) == (0.3, 0.05, 0.2, 0.2)
+    assert get_channel("ideal") == PRESETS["ideal"]
+
+
+@pytest.mark.parametrize("text", ["ideal,loss=2", "ideal,loss=much", "ideal,delay_s=-1", "pigeon,loss=0.1"])
+def test_a_wrong_change_of_a_channel_is_refused(text):
+    with pytest.raises(SettingsError, match="channel"):
+        get_channel(text)

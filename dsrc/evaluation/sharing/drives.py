@@ -23,6 +23,7 @@ from dsrc.evaluation.stored import StoredDrive
 from dsrc.models.fusion import FUSIONS, Fusion
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Sharing
+from dsrc.options.fields import RadioChanges
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.runs.provenance import provenance
@@ -93,7 +94,8 @@ def _jobs(
     fusion: type[Fusion],
 ) -> Iterator[CellJob]:
     """Yield the cells of a drive."""
-    channel = None if config.channel is None else get_channel(config.channel)
+    radios = config.radios(() if config.channel is None else (config.channel,))
+    channel = get_channel(radios[0]) if radios else None
     detector, data = file_sha256(config.checkpoint), reader.digest()
     for start in range(0, len(positions), CHUNK):
         chunk = tuple(positions[start : start + CHUNK])
@@ -139,6 +141,9 @@ def stored_drives(data: Path) -> tuple[StoredDrive, ...]:
 def provenance_of(config: Sharing) -> dict[str, Any]:
     """Provenance of shares: settings, hashes of the detector and the data, versions."""
     fields = {name: getattr(config, name) for name in Sharing.__struct_fields__ if name not in ("out", "reuse")}
+    fields = {
+        name: value for name, value in fields.items() if name not in RadioChanges.__struct_fields__ or value is not None
+    }
     settings = msgspec.to_builtins(fields, enc_hook=str)
     settings["data"], settings["checkpoint"] = config.data.name, config.checkpoint.name
     settings["sha256"] = file_sha256(config.checkpoint)
