@@ -209,9 +209,8 @@ class Case:
 
     def spec(self) -> ChannelSpec:
         """Settings of the channel, those of the sweep included."""
-        own = Radio.parse(self.channel)
-        changes = self.loss or own.loss, self.delay_s or own.delay_s, self.pose_error or own.pose_error
-        return Radio(own.channel, *changes).spec()
+        swept = self.loss or None, self.delay_s or None, self.pose_error or None
+        return Radio.parse(self.channel).changed(*swept).spec()
 
 
 def read_benchmark(path: Path) -> Benchmark:

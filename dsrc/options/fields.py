@@ -100,7 +100,8 @@ class RadioChanges(Severity, frozen=True, kw_only=True):
             return tuple(channels)
         from sim.radio import IDEAL, Radio
 
-        return tuple(Radio(one, self.loss, self.delay_s, self.pose_error).label for one in channels or (IDEAL,))
+        changes = self.loss, self.delay_s, self.pose_error
+        return tuple(Radio.parse(one).changed(*changes).label for one in channels or (IDEAL,))
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,5 +1,6 @@
 """Settings of radio channels: presets by name."""
 
+import dataclasses
 import re
 from dataclasses import dataclass
 from enum import IntEnum
@@ -150,6 +151,11 @@ class Radio:
             return cls(found["channel"], **{name: float(value) for name, value in changes.items()})
         except ValueError:
             raise SettingsError(complaint("channel", "changes", "numbers", text)) from None
+
+    def changed(self, loss: float | None = None, delay_s: float | None = None, pose_error: float | None = None) -> Self:
+        """Return the radio with other changes; None keeps its own."""
+        given = {"loss": loss, "delay_s": delay_s, "pose_error": pose_error}
+        return dataclasses.replace(self, **{name: value for name, value in given.items() if value is not None})
 
     @property
     def label(self) -> str:

@@ -23,7 +23,6 @@ from dsrc.evaluation.stored import StoredDrive
 from dsrc.models.fusion import FUSIONS, Fusion
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Sharing
-from dsrc.options.fields import RadioChanges
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.runs.provenance import provenance
@@ -140,10 +139,9 @@ def stored_drives(data: Path) -> tuple[StoredDrive, ...]:
 
 def provenance_of(config: Sharing) -> dict[str, Any]:
     """Provenance of shares: settings, hashes of the detector and the data, versions."""
-    fields = {name: getattr(config, name) for name in Sharing.__struct_fields__ if name not in ("out", "reuse")}
-    fields = {
-        name: value for name, value in fields.items() if name not in RadioChanges.__struct_fields__ or value is not None
-    }
+    changes = {name for name in ("loss", "delay_s", "pose_error") if getattr(config, name) is None}
+    without = {"out", "reuse", *changes}  # an unchanged channel is listed as before there were changes
+    fields = {name: getattr(config, name) for name in Sharing.__struct_fields__ if name not in without}
     settings = msgspec.to_builtins(fields, enc_hook=str)
     settings["data"], settings["checkpoint"] = config.data.name, config.checkpoint.name
     settings["sha256"] = file_sha256(config.checkpoint)
