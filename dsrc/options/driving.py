@@ -6,7 +6,7 @@ import msgspec
 from tyro.conf import Positional, arg
 
 from dsrc.options.detection import Engine
-from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, choice
+from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, changed_radios, choice
 
 PERCEPTIONS = ("truth", "sight", "ego", "team", "late", "FILE", "MODEL.json", "MODULE:CLASS")
 
@@ -27,6 +27,9 @@ class DriveOptions(msgspec.Struct, frozen=True):
         family: models of the corruptions: of physical causes, or as published in papers; default: physical.
         who: agents whose sensors are corrupted: ego, helpers, all, or ids such as 1002,-1; default: all.
         channel: radio channels; default: ideal.
+        loss: share of packets lost, 0 to 1, such as 0.3; default: the channel's.
+        delay_s: delay of messages, s; default: the channel's.
+        pose_error: pose error of the helpers, m and deg; default: the channel's.
         seed: seeds of the episodes, one each; default: 0.
         engine: execution of the network, see dsrc evaluate; default: fused.
         driver: driver: plans by predicted tracks, or the careful driver of UN R157; default: planning.
@@ -45,6 +48,9 @@ class DriveOptions(msgspec.Struct, frozen=True):
     family: Family | None = None
     who: str | None = None
     channel: Annotated[tuple[str, ...], choice(CHANNELS, several=True)] = ()
+    loss: float | None = None
+    delay_s: float | None = None
+    pose_error: float | None = None
     seed: tuple[int, ...] = ()
     engine: Engine | None = None
     driver: Literal["planning", "careful"] | None = None
@@ -52,3 +58,8 @@ class DriveOptions(msgspec.Struct, frozen=True):
     detect_every_s: float | None = None
     latency_s: float | None = None
     look_ahead_s: float | None = None
+
+    @property
+    def radios(self) -> tuple[str, ...]:
+        """Radio channels with their changes."""
+        return changed_radios(self.channel, self.loss, self.delay_s, self.pose_error)

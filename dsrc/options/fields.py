@@ -95,13 +95,19 @@ class RadioChanges(Severity, frozen=True, kw_only=True):
     pose_error: float | None = None
 
     def radios(self, channels: Sequence[str]) -> tuple[str, ...]:
-        """Return the channels as changed, of ideal ones where changes are given alone."""
-        if self.loss is self.delay_s is self.pose_error is None:
-            return tuple(channels)
-        from sim.radio import IDEAL, Radio
+        """Return the channels as changed, see `changed_radios`."""
+        return changed_radios(channels, self.loss, self.delay_s, self.pose_error)
 
-        changes = self.loss, self.delay_s, self.pose_error
-        return tuple(Radio.parse(one).changed(*changes).label for one in channels or (IDEAL,))
+
+def changed_radios(
+    channels: Sequence[str], loss: float | None, delay_s: float | None, pose_error: float | None
+) -> tuple[str, ...]:
+    """Return channels with changes, of the ideal one where changes are given alone; as they are without changes."""
+    if loss is delay_s is pose_error is None:
+        return tuple(channels)
+    from sim.radio import IDEAL, Radio
+
+    return tuple(Radio.parse(one).changed(loss, delay_s, pose_error).label for one in channels or (IDEAL,))
 
 
 class Output(msgspec.Struct, frozen=True, kw_only=True):

@@ -154,8 +154,12 @@ class Radio:
 
     def changed(self, loss: float | None = None, delay_s: float | None = None, pose_error: float | None = None) -> Self:
         """Return the radio with other changes; None keeps its own."""
-        given = {"loss": loss, "delay_s": delay_s, "pose_error": pose_error}
-        return dataclasses.replace(self, **{name: value for name, value in given.items() if value is not None})
+        return dataclasses.replace(
+            self,
+            loss=self.loss if loss is None else loss,
+            delay_s=self.delay_s if delay_s is None else delay_s,
+            pose_error=self.pose_error if pose_error is None else pose_error,
+        )
 
     @property
     def label(self) -> str:

@@ -206,7 +206,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
     checkpoint = str(options.checkpoint or "")
     asked = [parse_perception(text) for text in options.perception or ("truth",)]
     if all(one.kind in WITHOUT_SENSOR for one in asked):
-        for field, values, bare in (("corruption", options.corruption, CLEAN), ("channel", options.channel, IDEAL)):
+        for field, values, bare in (("corruption", options.corruption, CLEAN), ("channel", options.radios, IDEAL)):
             if set(values) - {bare}:
                 raise SettingsError(f"drive: perception '{asked[0].name}' has no sensor; leave out {option(field)}")
     for field, numbers, expected, fits in (
@@ -232,7 +232,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
         "name": options.what,
         "corruptions": options.corruption or (CLEAN,),
         "severities": options.severity or (3,),
-        "channels": options.channel or (IDEAL,),
+        "channels": options.radios or (IDEAL,),
         "clean_seeds": seeds,
         "seeds": seeds,
         "controls": False,
@@ -243,7 +243,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
     plan = convert({**listed, "perceptions": msgspec.to_builtins(perceptions)}, Campaign, "drive", SettingsError)
     check(plan, "drive")
     for field, expected in _without_effect(plan):
-        value = {"channels": options.channel, "engine": options.engine}.get(field)
+        value = {"channels": options.radios, "engine": options.engine}.get(field)
         if value not in (None, (), (IDEAL,)):
             raise SettingsError(complaint("drive", field.removesuffix("s"), expected, f"{value}"))
     return plan

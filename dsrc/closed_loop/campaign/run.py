@@ -281,6 +281,7 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
     Raises:
         UserError: the log or a setting is wrong, or the log's own detector is not the file that is given.
     """
+    radios = options.radios
     for field in ("perception", "corruption", "severity", "channel"):
         if len(values := getattr(options, field)) > 1:
             raise SettingsError(complaint("drive", option(field), "one value for a log", " ".join(map(str, values))))
@@ -297,7 +298,7 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
         if detector_hash(uses, checkpoint) != settings.detector:
             expected = f"the detector of the log, SHA-256 {settings.detector[:12]}"
             raise SettingsError(complaint("drive", "checkpoint", expected, checkpoint or f"that of '{uses}'"))
-    asked = options.perception or options.corruption or options.channel
+    asked = options.perception or options.corruption or radios
     corruption = (options.corruption or (CLEAN if asked else settings.corruption,))[0]
     if corruption == CLEAN:
         for field in ("severity", "who", "family"):
@@ -311,7 +312,7 @@ def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, Episod
         options.who or settings.who,  # type: ignore[arg-type]
     )
     used: dict[str, Any] = {
-        "channel": (options.channel or (IDEAL if asked else settings.channel,))[0],
+        "channel": (radios or (IDEAL if asked else settings.channel,))[0],
         "engine": options.engine or settings.engine,
     }
     perception = open_perception(

@@ -255,3 +255,12 @@ def test_a_campaign_with_a_mistake_is_answered_as_one(tmp_path: Path, text: str)
 def test_a_scenario_is_no_campaign_however_its_keys_are_called(tmp_path: Path, text: str) -> None:
     (tmp_path / "scenario.toml").write_text(f"{text}\n")
     assert not is_campaign(tmp_path / "scenario.toml")
+
+
+def test_changes_of_the_radio_are_channels_of_their_own() -> None:
+    options = DriveOptions(what="four_way", perception=("team",), channel=("ideal", "its-g5-6"), loss=0.3, delay_s=0.2)
+    assert campaign_of(options).channels == ("ideal,loss=0.3,delay_s=0.2", "its-g5-6,loss=0.3,delay_s=0.2")
+    alone = DriveOptions(what="four_way", perception=("team",), pose_error=0.4)
+    assert [job.radio["position_error_m"] for job in episodes_of(campaign_of(alone))] == [0.4]
+    with pytest.raises(SettingsError, match=r"loss: expected 0 to 1, found 1\.5"):
+        campaign_of(DriveOptions(what="four_way", perception=("team",), loss=1.5))
