@@ -11,7 +11,7 @@ import dsrc.hidden as _hidden  # noqa: F401 - before anything of sim is imported
 import dsrc.outputs as _outputs  # noqa: F401 - whoever writes knows what may be replaced
 
 if TYPE_CHECKING:
-    from dsrc.closed_loop.campaign.run import drive
+    from dsrc.closed_loop.campaign.run import drive_episodes
     from dsrc.closed_loop.environments import register_environments
     from dsrc.closed_loop.environments.driving import DrivingEnv
     from dsrc.closed_loop.log import EpisodeLog
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from sim.scenario import Scenario
 
 _MODULES = {
-    "dsrc.closed_loop.campaign.run": ("drive",),
+    "dsrc.closed_loop.campaign.run": ("drive_episodes",),
     "dsrc.closed_loop.environments": ("register_environments",),
     "dsrc.closed_loop.environments.driving": ("DrivingEnv",),
     "dsrc.closed_loop.log": ("EpisodeLog",),
@@ -103,7 +103,7 @@ _MODULES = {
     "sim.scenario": ("Scenario",),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
-_RENAMED = {"look_again": "replay"}
+_RENAMED = {"drive": "drive_episodes", "look_again": "replay"}
 """New names by deprecated ones."""
 
 __all__ = [
@@ -160,7 +160,7 @@ __all__ = [
     "EpisodeLog",
     "episode_metrics",
     "replay",
-    "drive",
+    "drive_episodes",
     "summary_table",
     "write_report",
     "DrivingEnv",

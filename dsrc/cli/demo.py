@@ -53,7 +53,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
     """
     from rich.console import Console
 
-    from dsrc.closed_loop.campaign.run import drive
+    from dsrc.closed_loop.campaign.run import drive_episodes
     from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
     from dsrc.closed_loop.report.terminal import summary_table
     from dsrc.data.write import generate
@@ -84,7 +84,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
         picture = draw(page, out / "review.png") if find_chromium() else None
         report(1, 1)
     with progress(f"drive {ENCOUNTER} with four views of it") as report:
-        driven = drive(
+        driven = drive_episodes(
             ENCOUNTER,
             perception=("truth", "truth in sight=sight", f"{ALONE}=ego", f"{TOGETHER}=team"),
             seed=(ENCOUNTER_SEED,),

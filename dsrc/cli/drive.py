@@ -51,7 +51,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         require_kind("drive", self.what, "scenario", "campaign")
         self._check_together()
         if self.what.endswith(".npz"):
-            self._look_again()
+            self._replay()
             return
         if self.critical is not None:
             self._search()
@@ -177,18 +177,18 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         Console(highlight=False).print(search_table(found))
         sys.stdout.write(f"{search_text(found)}\n")
 
-    def _look_again(self) -> None:
+    def _replay(self) -> None:
         from rich.console import Console
 
         from dsrc.closed_loop.campaign.plan import campaign_of
-        from dsrc.closed_loop.campaign.run import look_again_at
+        from dsrc.closed_loop.campaign.run import replay_at
         from dsrc.closed_loop.log import EpisodeLog
         from dsrc.closed_loop.report.terminal import comparison_table
 
         own = EpisodeLog.load(Path(self.what)).settings.perception
         # Options are checked as those of an episode by these eyes.
         campaign_of(msgspec.structs.replace(self, what="four_way", perception=self.perception or (own,)))
-        former, again = look_again_at(Path(self.what), self)
+        former, again = replay_at(Path(self.what), self)
         Console(highlight=False).print(comparison_table(former, again))
         if self.out is not None:
             path = again.save(self.out / "again.npz")

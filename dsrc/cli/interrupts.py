@@ -44,7 +44,7 @@ class Interrupts:
         try:
             self._before = {number: signal.signal(number, self._take) for number in (signal.SIGINT, signal.SIGTERM)}
             if hasattr(signal, "SIGALRM"):
-                self._before = {**self._before, signal.SIGALRM: signal.signal(signal.SIGALRM, self._look_again)}
+                self._before = {**self._before, signal.SIGALRM: signal.signal(signal.SIGALRM, self._raise_when_safe)}
         except ValueError:  # not in the main thread, which alone has signals
             pass
         if self._ending and self._before:
@@ -76,9 +76,9 @@ class Interrupts:
             signal.signal(number, signal.SIG_DFL)
             return
         self.received = number
-        self._look_again(number, frame)
+        self._raise_when_safe(number, frame)
 
-    def _look_again(self, number: int, frame: FrameType | None) -> None:
+    def _raise_when_safe(self, number: int, frame: FrameType | None) -> None:
         if self._settled or not self.received:
             return
         if hasattr(signal, "setitimer") and _would_be_lost(frame):

@@ -82,7 +82,7 @@ class CampaignResult:
 
 
 @takes_fields(DriveOptions)
-def drive(
+def drive_episodes(
     options: DriveOptions, /, out: Path | str, *, pool: Pool = SERIAL, progress: Progress | None = None
 ) -> CampaignResult:
     """Drive the episodes or the campaign of a command line, see `run_campaign`.
@@ -272,7 +272,7 @@ def _probed(job: EpisodeJob) -> tuple[str, str]:
     return job.uses, job.checkpoint
 
 
-def look_again_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog]:
+def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog]:
     """Return the log of an episode, and another with the percepts of the perception of a command line.
 
     Without a perception in the options it is the log's own: both logs are then the same. With a perception, a

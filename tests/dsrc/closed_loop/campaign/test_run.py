@@ -22,7 +22,7 @@ from dsrc.closed_loop.campaign import run as runner
 from dsrc.closed_loop.campaign.plan import (
     PerceptionSpec,
 )
-from dsrc.closed_loop.campaign.run import drive, look_again_at, read_results, reused, run_campaign
+from dsrc.closed_loop.campaign.run import drive_episodes, read_results, replay_at, reused, run_campaign
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
@@ -227,10 +227,10 @@ def test_an_estimate_counts_all_that_is_missing(tmp_path: Path) -> None:
 
 def test_an_episode_is_looked_at_again_from_its_log(driven: Path) -> None:
     path = driven / "episodes" / f"{rows(driven)[0]['key']}.npz"
-    former, same = look_again_at(path, DriveOptions(what=str(path)))
+    former, same = replay_at(path, DriveOptions(what=str(path)))
     for one, other in zip(former.ticks, same.ticks, strict=True):
         assert np.array_equal(one.percept.boxes.array, other.percept.boxes.array)
-    _, other = look_again_at(path, DriveOptions(what=str(path), perception=(f"{EYES}:Blind",)))
+    _, other = replay_at(path, DriveOptions(what=str(path), perception=(f"{EYES}:Blind",)))
     assert all(len(tick.tracks) == 0 for tick in other.ticks)
     assert EpisodeLog.load(path).outcome is former.outcome
     assert same.settings == former.settings
@@ -241,14 +241,14 @@ def test_a_log_runs_no_code_that_it_names(driven: Path, tmp_path: Path) -> None:
     log.settings = replace(log.settings, perception=f"{EYES}:Blind", detector="")
     path = log.save(tmp_path / "log.npz")
     with pytest.raises(SettingsError, match=f"add --perception {EYES}:Blind"):
-        look_again_at(path, DriveOptions(what=str(path)))
+        replay_at(path, DriveOptions(what=str(path)))
 
 
 def test_a_second_look_says_what_it_looked_with(driven: Path, tmp_path: Path) -> None:
     log = EpisodeLog.load(driven / "episodes" / f"{rows(driven)[0]['key']}.npz")
     path = EpisodeLog(log.settings, log.actors[0], log.ticks[:2], log.outcome).save(tmp_path / "log.npz")
     options = DriveOptions(what=str(path), perception=("ego",), corruption=("fog",), driver="careful")
-    former, again = look_again_at(path, options)
+    former, again = replay_at(path, options)
     settings = again.settings
     assert (settings.perception, settings.corruption, settings.severity) == ("ego", "fog", 3)
     assert settings.detector and settings.driver == "careful"
@@ -263,7 +263,7 @@ def test_a_second_look_says_what_it_looked_with(driven: Path, tmp_path: Path) ->
 def test_options_beside_a_log_that_would_do_nothing_are_refused(driven: Path, given: dict[str, Any]) -> None:
     path = driven / "episodes" / f"{rows(driven)[0]['key']}.npz"
     with pytest.raises(SettingsError, match=r"expected one value for a log|add --corruption"):
-        look_again_at(path, DriveOptions(what=str(path), **given))
+        replay_at(path, DriveOptions(what=str(path), **given))
 
 
 def test_a_log_s_own_perception_looks_again_through_a_corruption(driven: Path, tmp_path: Path) -> None:
@@ -305,16 +305,16 @@ def test_a_log_is_not_repeated_by_another_detector(driven: Path, tmp_path: Path)
     log.settings = replace(log.settings, perception="team", detector="0" * 64)
     path = log.save(tmp_path / "log.npz")
     with pytest.raises(SettingsError, match="checkpoint: expected the detector of the log"):
-        look_again_at(path, DriveOptions(what=str(path)))
+        replay_at(path, DriveOptions(what=str(path)))
 
 
 @pytest.mark.slow
 def test_a_detector_s_episode_repeats_from_its_log(tmp_path: Path) -> None:
     options = {"perception": ("team",), "corruption": ("fog",), "seed": (0,), "duration_s": 2.0, "detect_every_s": 0.2}
-    drive("lta_truck", **options, channel=("its-g5-6",), out=tmp_path)
+    drive_episodes("lta_truck", **options, channel=("its-g5-6",), out=tmp_path)
     for row in rows(tmp_path):
         path = tmp_path / "episodes" / f"{row['key']}.npz"
-        former, again = look_again_at(path, DriveOptions(what=str(path)))
+        former, again = replay_at(path, DriveOptions(what=str(path)))
         assert len(former) == len(again) and any(tick.percept is not None for tick in former.ticks)
         for one, other in zip(former.ticks, again.ticks, strict=True):
             assert (one.percept is None) == (other.percept is None)
@@ -330,7 +330,7 @@ def test_two_campaigns_cannot_write_into_one_folder(tmp_path: Path) -> None:
 
 
 def test_python_drives_by_the_options_of_the_command(tmp_path: Path) -> None:
-    result = drive("ima_building:no_conflict", perception=("truth",), seed=(3,), out=tmp_path)
+    result = drive_episodes("ima_building:no_conflict", perception=("truth",), seed=(3,), out=tmp_path)
     assert [one.seed for one in result.results] == [3] and result.results[0].outcome == "arrived"
 
 
