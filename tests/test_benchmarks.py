@@ -1,6 +1,7 @@
 """The benchmarks start, and measure the streets that they say they measure."""
 
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,14 +24,14 @@ from tests.dsrc.data.toy import toy_frame
     "name",
     ["lidar", "corruptions", "generate", "inference", "evaluation", "reading", "training", "closed_loop", "review"],
 )
-def test_benchmark_explains_itself(name, capsys):
+def test_benchmark_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         tyro.cli(import_module(f"benchmarks.{name}").main, args=["--help"])
     assert stop.value.code == 0
     assert "--quick" in capsys.readouterr().out
 
 
-def test_sixty_vehicles_of_which_five_scan_keep_the_makers_of_drives_busy():
+def test_sixty_vehicles_of_which_five_scan_keep_the_makers_of_drives_busy() -> None:
     scenario = busy_scenario()
     assert (scenario.agents.vehicles, scenario.demand.max_vehicles) == (5, 60)
     clock = Clock()
@@ -41,7 +42,7 @@ def test_sixty_vehicles_of_which_five_scan_keep_the_makers_of_drives_busy():
     assert set(STAGES) | {"traffic", "write"} == {"traffic", "tracing", "visibility", "encode", "write"}
 
 
-def test_streets_have_the_stated_triangles():
+def test_streets_have_the_stated_triangles() -> None:
     world = street_world()
     assert 275_000 <= len(world.faces) <= 285_000
     material = world.face_attributes["material"]
@@ -52,7 +53,7 @@ def test_streets_have_the_stated_triangles():
 
 
 @pytest.mark.parametrize(("vehicles", "triangles"), [(60, 260_000), (200, 1_110_000)])
-def test_fleets_have_the_stated_triangles(vehicles, triangles):
+def test_fleets_have_the_stated_triangles(vehicles: int, triangles: int) -> None:
     cars = fleet(vehicles)
     assert vehicles in FLEETS
     assert len(cars.start) == vehicles
@@ -65,7 +66,7 @@ def test_fleets_have_the_stated_triangles(vehicles, triangles):
         assert len(mesh.face_attributes["material"]) == len(mesh.faces)
 
 
-def test_vehicles_drive_where_they_look_and_at_their_speed():
+def test_vehicles_drive_where_they_look_and_at_their_speed() -> None:
     cars = fleet(60)
     before, now, after = (cars.actors(time_s) for time_s in (-0.05, 0.0, 0.05))
     driven = (after.boxes.center - before.boxes.center)[:, :2] / 0.1
@@ -76,7 +77,7 @@ def test_vehicles_drive_where_they_look_and_at_their_speed():
     assert speed.min() > 1.0
 
 
-def test_sensors_ride_above_their_cars():
+def test_sensors_ride_above_their_cars() -> None:
     cars = fleet(60)
     sensors = cars.sensors(0.0, np.random.default_rng(0))
     poses = cars.actors(0.0).world_from_body()
@@ -86,7 +87,7 @@ def test_sensors_ride_above_their_cars():
         assert offset == pytest.approx(BENCHMARK_LIDAR.mount_xyz_m, abs=1e-6)
 
 
-def test_baked_scene_leaves_one_vehicle_out():
+def test_baked_scene_leaves_one_vehicle_out() -> None:
     world, cars = street_world(), fleet(60)
     _, faces = baked(world, cars, 0.0)
     vertices, without = baked(world, cars, 0.0, left_out=7)
@@ -94,13 +95,13 @@ def test_baked_scene_leaves_one_vehicle_out():
     assert without.max() == len(vertices) - 1
 
 
-def test_city_is_districts_side_by_side():
+def test_city_is_districts_side_by_side() -> None:
     one, two = street_world(), city(300_000)
     assert 1.9 * len(one.faces) < len(two.faces) < 2.1 * len(one.faces)
     assert two.extents[0] == pytest.approx(one.extents[0] + 400.0, abs=2.0)
 
 
-def test_variants_take_turns_and_each_gets_its_samples():
+def test_variants_take_turns_and_each_gets_its_samples() -> None:
     called = []
     timings = measure({name: lambda name=name: called.append(name) for name in "ab"}, rounds=4, keep=3, sample_s=1e-9)
     assert {name: timing.samples for name, timing in timings.items()} == {"a": 3, "b": 3}
@@ -109,7 +110,7 @@ def test_variants_take_turns_and_each_gets_its_samples():
     assert "".join(called) == "aabb" + 2 * ("aabb" + "bbaa")
 
 
-def test_rays_leave_the_sensor_where_it_is_when_they_fire():
+def test_rays_leave_the_sensor_where_it_is_when_they_fire() -> None:
     cars = fleet(60)
     sensor = cars.sensors(0.0, np.random.default_rng(0))[0]
     rays = rays_of(sensor)
@@ -120,7 +121,7 @@ def test_rays_leave_the_sensor_where_it_is_when_they_fire():
     assert driven == pytest.approx(speed * 0.1, rel=0.01)
 
 
-def test_figures_say_null_for_what_was_not_measured():
+def test_figures_say_null_for_what_was_not_measured() -> None:
     times = {"bare": 0.1, "public_1t": 0.13, "trimesh": 1.0}
     figures = figures_of({name: Timing(wall, wall, 0.0, 5, 1) for name, wall in times.items()}, 5)
     assert figures["ratio_public_1t"] == pytest.approx(1.3)
@@ -128,7 +129,7 @@ def test_figures_say_null_for_what_was_not_measured():
     assert figures["ratio_fused_1t"] is figures["realtime_factor"] is figures["speedup_open3d"] is None
 
 
-def test_stages_add_up_to_the_sweep():
+def test_stages_add_up_to_the_sweep() -> None:
     parts = ("update_60", "python", "kernel", "kernel_lost", "kernel_static", "kernel_void", "fused_1t")
     times = dict(zip(parts, (0.001, 0.002, 0.050, 0.040, 0.030, 0.005, 0.060), strict=True))
     stages = stage_ms({name: Timing(wall, wall, 0.0, 5, 1) for name, wall in times.items()}, 5)
@@ -137,7 +138,7 @@ def test_stages_add_up_to_the_sweep():
     assert stages["static"] == pytest.approx(3.0)
 
 
-def test_every_corruption_is_timed_on_a_sweep_of_the_stated_size():
+def test_every_corruption_is_timed_on_a_sweep_of_the_stated_size() -> None:
     frame = make_frame()
     assert len(frame.agents[0].sweep) == POINTS
     variants = variants_of(frame, 3)
@@ -147,7 +148,7 @@ def test_every_corruption_is_timed_on_a_sweep_of_the_stated_size():
     assert 5.0 < peak_mb(variants["rain"]) < 300.0
 
 
-def test_every_stage_of_every_method_is_timed_and_counted_once(monkeypatch):
+def test_every_stage_of_every_method_is_timed_and_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks import inference
     from dsrc.models.fusion import FUSIONS
     from dsrc.training.recipes import debug
@@ -170,7 +171,7 @@ def test_every_stage_of_every_method_is_timed_and_counted_once(monkeypatch):
         assert floor[method]["1"] < floor[method]["2"] < floor[method]["5"]
 
 
-def test_the_parts_of_a_training_step_add_up_to_it(monkeypatch):
+def test_the_parts_of_a_training_step_add_up_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks import reading, training
     from dsrc.training.recipes import debug
 
@@ -189,7 +190,7 @@ def test_the_parts_of_a_training_step_add_up_to_it(monkeypatch):
         assert min(share.values()) >= 0.0
 
 
-def test_the_loop_over_polygons_finds_the_same_precisions():
+def test_the_loop_over_polygons_finds_the_same_precisions() -> None:
     from benchmarks.evaluation import make_frames, shapely_metrics
     from dsrc.evaluation.metrics.ap import evaluate
 
@@ -200,7 +201,7 @@ def test_the_loop_over_polygons_finds_the_same_precisions():
     assert shapely_metrics(frames) == pytest.approx(result.metrics(), abs=1e-9)
 
 
-def test_the_plain_script_reads_what_our_reader_reads(monkeypatch, tmp_path):
+def test_the_plain_script_reads_what_our_reader_reads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from benchmarks import reading
 
     monkeypatch.setattr(reading, "POINTS", 2000)

@@ -25,7 +25,9 @@ def blocks_of(page: str) -> list[str]:
 (BEGIN,), (SIMULATED, DRIVEN, SCANNED) = blocks_of("README.md"), blocks_of("docs/python.md")
 
 
-def test_the_readme_s_python_prints_without_a_demo_before(capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
+def test_the_readme_s_python_prints_without_a_demo_before(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(ROOT)
     exec(BEGIN, {})
     first, clear, snow, sight, truth = capsys.readouterr().out.splitlines()
@@ -39,7 +41,7 @@ def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
 
 
-def test_the_example_of_a_drive_detects_in_fog(tmp_path, monkeypatch):
+def test_the_example_of_a_drive_detects_in_fog(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "dsrc").symlink_to(ROOT / "dsrc")
     generate("four_way", tmp_path / "demo" / "test", frames=1, seed=900, visibility=False)
     monkeypatch.chdir(tmp_path)
@@ -55,7 +57,7 @@ def test_the_example_of_a_drive_detects_in_fog(tmp_path, monkeypatch):
     np.testing.assert_allclose(deskew(raw, "middle").points, middle.points, atol=1e-3)
 
 
-def test_the_example_of_the_closed_loop_arrives_and_looks_again():
+def test_the_example_of_the_closed_loop_arrives_and_looks_again() -> None:
     names: dict = {}
     exec(DRIVEN, names)
     assert names["outcome"].value == "arrived"
@@ -64,7 +66,7 @@ def test_the_example_of_the_closed_loop_arrives_and_looks_again():
     assert len(names["again"]) == len(names["log"])
 
 
-def test_the_example_of_a_lidar_of_one_s_own_measures_the_hall():
+def test_the_example_of_a_lidar_of_one_s_own_measures_the_hall() -> None:
     names: dict = {}
     exec(SCANNED, names)
     sweep, lidar = names["sweep"], names["lidar"]
@@ -82,7 +84,7 @@ def test_the_example_of_a_lidar_of_one_s_own_measures_the_hall():
     np.testing.assert_allclose(sweep.points - bent.points, expected, atol=1e-4)
 
 
-def test_every_metric_of_an_episode_has_a_row():
+def test_every_metric_of_an_episode_has_a_row() -> None:
     table = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8").split("\n## Metrics\n")[1].split("\n## ")[0]
     named = " ".join(re.findall(r"^\| (`[^|]*) \|", table, re.MULTILINE))
     listed = re.findall(r"`(\w+)`", named)

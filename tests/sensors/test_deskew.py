@@ -90,13 +90,13 @@ def off_the_planes(sweep: Sweep, offset: float = 0.0) -> float:
 
 @pytest.mark.parametrize("to", ["middle", "start", "end"])
 @pytest.mark.parametrize("turn", [0.0, 1.0])
-def test_deskewing_straightens_static_points_bent_by_the_sensors_motion(to: str, turn: float):
+def test_deskewing_straightens_static_points_bent_by_the_sensors_motion(to: str, turn: float) -> None:
     raw = measured(driving(turn=turn))
     assert off_the_planes(raw) > 0.05
     assert off_the_planes(deskew(raw, to)) < 1e-4
 
 
-def test_the_frame_of_the_points_is_that_of_the_sensor_at_the_start_middle_or_end():
+def test_the_frame_of_the_points_is_that_of_the_sensor_at_the_start_middle_or_end() -> None:
     path = driving()
     for to, after in (("start", -HALF_S), ("middle", 0.0), ("end", HALF_S)):
         sweep = deskew(measured(path), to)
@@ -109,7 +109,7 @@ def test_the_frame_of_the_points_is_that_of_the_sensor_at_the_start_middle_or_en
         np.testing.assert_allclose(sweep.points[near], measured(path).points[near], atol=0.03)
 
 
-def test_points_in_the_world_and_firing_times_never_change():
+def test_points_in_the_world_and_firing_times_never_change() -> None:
     raw = measured(driving(), (ROAD, WALL, REAR))
     for to in MOTIONS:
         sweep = deskew(raw, to)
@@ -122,7 +122,7 @@ def test_points_in_the_world_and_firing_times_never_change():
 
 @pytest.mark.parametrize("there", MOTIONS)
 @pytest.mark.parametrize("home", MOTIONS)
-def test_there_and_back_is_the_same_sweep(home: str, there: str):
+def test_there_and_back_is_the_same_sweep(home: str, there: str) -> None:
     sweep = deskew(measured(driving()), home)
     back = deskew(deskew(sweep, there), home)
     np.testing.assert_allclose(back.points, sweep.points, rtol=0, atol=2e-5)
@@ -131,23 +131,23 @@ def test_there_and_back_is_the_same_sweep(home: str, there: str):
     assert back.time_s == pytest.approx(sweep.time_s, abs=1e-12) and back.motion == home
 
 
-def test_deskewing_to_the_same_motion_returns_the_same_sweep():
+def test_deskewing_to_the_same_motion_returns_the_same_sweep() -> None:
     sweep = make_sweep(np.ones((2, 3)))
     assert deskew(sweep, "middle") is sweep
 
 
-def test_raw_and_deskewed_points_of_a_sensor_at_rest_are_equal():
+def test_raw_and_deskewed_points_of_a_sensor_at_rest_are_equal() -> None:
     still = path_through(*[pose_matrix([3.0, 1.0, 1.9], 0.4)] * 2)
     raw = measured(still)
     np.testing.assert_allclose(deskew(raw, "middle").points, raw.points, atol=1e-6)
 
 
-def test_far_from_the_origin_nothing_is_lost():
+def test_far_from_the_origin_nothing_is_lost() -> None:
     raw = measured(driving(offset=5e5), offset=5e5)
     assert off_the_planes(deskew(raw, "end"), offset=5e5) < 1e-4
 
 
-def test_an_error_of_the_pose_does_not_bend_the_world():
+def test_an_error_of_the_pose_does_not_bend_the_world() -> None:
     raw = measured(driving())
     wrong = pose_matrix([0.5, -0.3, 0.0], 0.02)
     shifted = deskew(replace(raw, world_from_lidar=raw.world_from_lidar @ wrong), "start")
@@ -157,7 +157,7 @@ def test_an_error_of_the_pose_does_not_bend_the_world():
 
 
 @pytest.mark.parametrize("to", ["middle", "start", "end"])
-def test_a_moving_car_is_sheared_by_its_speed_times_column_time_and_deskewed(to: str):
+def test_a_moving_car_is_sheared_by_its_speed_times_column_time_and_deskewed(to: str) -> None:
     sweep = deskew(measured(driving(turn=0.0), (ROAD, REAR)), to)
     on = sweep.object_id == 1000
     rear_x = 16.0 + CAR_MPS[0] * (sweep.time_s - NOW_S)
@@ -169,7 +169,7 @@ def test_a_moving_car_is_sheared_by_its_speed_times_column_time_and_deskewed(to:
     np.testing.assert_allclose(upright.points[~on], sweep.points[~on], atol=1e-5)
 
 
-def test_raw_points_of_a_car_are_deskewed_too():
+def test_raw_points_of_a_car_are_deskewed_too() -> None:
     raw = measured(driving(), (ROAD, REAR))
     ids, path = np.array([999, 1000]), coasting(np.array([[90.0, 0.0], CAR_MPS[:2]]), NOW_S)
     made = deskew_objects(raw, ids, path)
@@ -179,7 +179,7 @@ def test_raw_points_of_a_car_are_deskewed_too():
     )
 
 
-def test_a_turning_object_is_deskewed_by_its_path():
+def test_a_turning_object_is_deskewed_by_its_path() -> None:
     """Corners of a box that spins at 2 rad/s about (10, 0), each met at another time."""
     times = np.linspace(-HALF_S, HALF_S, 5)
     turning = Path.through(NOW_S + times, pose_matrix([10.0, 0.0, 0.0], 2.0 * times)[None])
@@ -191,7 +191,7 @@ def test_a_turning_object_is_deskewed_by_its_path():
     np.testing.assert_allclose(made.points, corners + np.array([10, 0, 0]), atol=1e-5)
 
 
-def test_a_sensor_that_fires_all_at_once_has_one_frame():
+def test_a_sensor_that_fires_all_at_once_has_one_frame() -> None:
     frozen = LidarSpec(name="frozen", elevation_deg=(-5.0, -9.0), columns=90, rolling_shutter=False, source="a toy")
     raw = measured(driving(), spec=frozen)
     for to in MOTIONS:
@@ -200,14 +200,14 @@ def test_a_sensor_that_fires_all_at_once_has_one_frame():
         assert made.time_s == NOW_S
 
 
-def test_an_empty_sweep_is_deskewed():
+def test_an_empty_sweep_is_deskewed() -> None:
     raw = measured(driving())[:0]
     assert deskew(raw, "start").points.shape == (0, 3)
     assert deskew(deskew(raw, "end"), "raw").time_s == pytest.approx(NOW_S)
 
 
 @pytest.mark.parametrize("to", ["start", "end", "raw"])
-def test_missing_paths_and_firing_times_are_reported(to: str):
+def test_missing_paths_and_firing_times_are_reported(to: str) -> None:
     sweep = deskew(measured(driving()), "middle")
     with pytest.raises(DataError, match="sweep: path: expected the sensor's poses over the sweep, found none"):
         deskew(replace(sweep, path=None), to)
@@ -222,18 +222,18 @@ def test_missing_paths_and_firing_times_are_reported(to: str):
             deskew(replace(sweep, spec=None), to)
 
 
-def test_raw_points_of_an_unknown_path_have_no_place_in_the_world():
+def test_raw_points_of_an_unknown_path_have_no_place_in_the_world() -> None:
     raw = measured(driving())
     with pytest.raises(DataError, match="path"):
         _ = replace(raw, path=None).world_points
 
 
-def test_a_misspelt_motion_gets_the_nearest_name():
+def test_a_misspelt_motion_gets_the_nearest_name() -> None:
     with pytest.raises(SettingsError, match="motion: expected a compensation, found strat; did you mean 'start'"):
         deskew(measured(driving()), "strat")
 
 
-def test_a_frame_is_deskewed_agent_by_agent_and_its_truth_stays():
+def test_a_frame_is_deskewed_agent_by_agent_and_its_truth_stays() -> None:
     raw = measured(driving())
     agents = tuple(AgentFrame(i, "vehicle", np.eye(4), 15.0, raw) for i in (1000, 1001))
     frame = Frame(4, NOW_S, agents, Boxes.zeros(), np.zeros((0, 2)), np.zeros((2, 0), np.int32))
@@ -244,7 +244,7 @@ def test_a_frame_is_deskewed_agent_by_agent_and_its_truth_stays():
         deskew_frame(broken, "end")
 
 
-def test_raw_points_of_a_scan_lie_on_the_beams_that_measured_them():
+def test_raw_points_of_a_scan_lie_on_the_beams_that_measured_them() -> None:
     """The turning sensor of a real sweep: what it measured lies where its beams point, the ground is flat again."""
     spec = ideal("opv2v-64")
     path = path_through(pose_matrix([-0.75, 0.0, 1.9], -0.05, 0.01), pose_matrix([0.75, 0.2, 1.9], 0.05, -0.01))
@@ -259,7 +259,7 @@ def test_raw_points_of_a_scan_lie_on_the_beams_that_measured_them():
         assert np.abs(seen(deskew(raw, to))[:, 2]).max() < 1e-4
 
 
-def test_a_scanned_car_is_put_back_into_its_box():
+def test_a_scanned_car_is_put_back_into_its_box() -> None:
     now = cars([[12.0, 4.0, 0.2]], time_s=NOW_S, speed=20.0)
     scene = scene_of(ground(), now)
     sweep = scan_all(scene, [Sensor(ideal("opv2v-64"), driving(), NOW_S, np.random.default_rng(0))])[0]

@@ -37,7 +37,7 @@ DATASHEET = {
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_a_preset_lists_beams_from_the_top_and_names_its_source(name):
+def test_a_preset_lists_beams_from_the_top_and_names_its_source(name) -> None:
     spec = get_lidar(name)
     assert spec.name == name
     assert (np.diff(spec.elevation_deg) < 0).all()
@@ -46,7 +46,7 @@ def test_a_preset_lists_beams_from_the_top_and_names_its_source(name):
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_every_ray_of_a_preset_is_a_unit_vector(name):
+def test_every_ray_of_a_preset_is_a_unit_vector(name) -> None:
     spec = msgspec.structs.replace(get_lidar(name), subrays=4)
     beams = beams_of(spec, 0.05)
     assert beams.columns == spec.columns <= beams.axis.shape[2]
@@ -55,13 +55,13 @@ def test_every_ray_of_a_preset_is_a_unit_vector(name):
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_a_preset_survives_json(name):
+def test_a_preset_survives_json(name) -> None:
     spec = get_lidar(name)
     assert msgspec.json.decode(msgspec.json.encode(spec), type=LidarSpec) == spec
 
 
 @pytest.mark.parametrize("name", sorted(DATASHEET))
-def test_points_per_second_and_field_of_view_are_those_of_the_datasheet(name):
+def test_points_per_second_and_field_of_view_are_those_of_the_datasheet(name) -> None:
     spec = get_lidar(name)
     rate, top, bottom = DATASHEET[name]
     assert spec.rings * spec.columns * spec.rate_hz == pytest.approx(rate, rel=0.04)
@@ -70,27 +70,27 @@ def test_points_per_second_and_field_of_view_are_those_of_the_datasheet(name):
         assert spec.elevation_deg[-1] == pytest.approx(bottom, abs=0.7)
 
 
-def test_each_real_sensor_has_a_datasheet_here():
+def test_each_real_sensor_has_a_datasheet_here() -> None:
     assert set(REAL) | set(ROSETTES) <= set(DATASHEET)
     assert set(REAL) <= set(LIDARS)
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_a_table_numbers_every_laser_once(name):
+def test_a_table_numbers_every_laser_once(name) -> None:
     lines = [line for line in (FOLDER / f"{name}.csv").read_text().splitlines() if not line.startswith("#")]
     lasers = sorted(int(line.split(",")[0]) for line in lines[1:])
     assert lasers in ([*range(len(lasers))], [*range(1, len(lasers) + 1)])
 
 
 @pytest.mark.parametrize("name", sorted(set(REAL) - {"at128"}))
-def test_a_spinning_head_turns_clockwise_through_a_whole_turn(name):
+def test_a_spinning_head_turns_clockwise_through_a_whole_turn(name) -> None:
     spec = get_lidar(name)
     assert (np.diff(spec.azimuth) < 0.0).all()
     assert np.ptp(spec.azimuth) == pytest.approx(2 * np.pi * (1 - 1 / spec.columns))
 
 
 @pytest.mark.parametrize("name", FIRED_IN_TURN)
-def test_lasers_of_a_column_fire_one_after_another(name):
+def test_lasers_of_a_column_fire_one_after_another(name) -> None:
     spec = get_lidar(name)
     times = spec.time_offset
     assert len(np.unique(np.round(times[:, 0], 10))) >= spec.rings / 16
@@ -98,7 +98,7 @@ def test_lasers_of_a_column_fire_one_after_another(name):
     assert np.abs(times).max() <= 0.5 * spec.period_s + 1e-9
 
 
-def test_vlp_16_interleaves_its_lower_and_upper_lasers_every_2_304_microseconds():
+def test_vlp_16_interleaves_its_lower_and_upper_lasers_every_2_304_microseconds() -> None:
     spec = get_lidar("vlp-16")
     order = np.argsort(spec.firing_s)
     assert np.array(spec.elevation_deg)[order][:6].tolist() == [-15, 1, -13, 3, -11, 5]
@@ -116,7 +116,7 @@ def test_vlp_16_interleaves_its_lower_and_upper_lasers_every_2_304_microseconds(
         ("hdl-64e-s2", 2, 48e-6),
     ],
 )
-def test_lasers_fire_in_groups(name, at_once, sequence_s):
+def test_lasers_fire_in_groups(name: str, at_once: int, sequence_s: float) -> None:
     spec = get_lidar(name)
     _, sizes = np.unique(np.round(spec.firing_s, 10), return_counts=True)
     assert (sizes == at_once).all()
@@ -124,29 +124,29 @@ def test_lasers_fire_in_groups(name, at_once, sequence_s):
 
 
 @pytest.mark.parametrize("name", ["hdl-64e-s2", "hdl-64e-s3"])
-def test_both_blocks_of_the_hdl_64e_fire_together(name):
+def test_both_blocks_of_the_hdl_64e_fire_together(name: str) -> None:
     firing = get_lidar(name).firing_s
     assert sorted(firing[:32]) == sorted(firing[32:])
 
 
-def test_vls_128_rests_between_its_eighth_and_ninth_group():
+def test_vls_128_rests_between_its_eighth_and_ninth_group() -> None:
     groups = np.unique(np.round(get_lidar("vls-128").firing_s, 10))
     np.testing.assert_allclose(np.diff(groups), [2.665e-6] * 7 + [5.33e-6] + [2.665e-6] * 7, rtol=1e-6)
 
 
-def test_the_beams_of_an_ouster_fire_at_once():
+def test_the_beams_of_an_ouster_fire_at_once() -> None:
     for name in ("os1-64", "os1-128"):
         assert np.ptp(get_lidar(name).time_offset, axis=0).max() == 0.0
 
 
-def test_neighbouring_beams_of_the_dense_middle_look_aside_of_each_other():
+def test_neighbouring_beams_of_the_dense_middle_look_aside_of_each_other() -> None:
     for name in ("hdl-64e-s3", "vlp-32c", "vls-128", "pandar64", "pandar128", "os1-64", "rs-ruby-plus"):
         spec = get_lidar(name)
         middle = np.abs(np.array(spec.elevation_deg) + 2.0) < 2.0
         assert np.abs(np.diff(np.array(spec.azimuth_offset_deg)[middle])).min() > 0.5
 
 
-def test_at128_sees_near_with_every_fourth_row_and_far_with_its_middle():
+def test_at128_sees_near_with_every_fourth_row_and_far_with_its_middle() -> None:
     spec = get_lidar("at128")
     near, far = spec.beam_range.T
     assert (near == 0.5).sum() == 32 and (near == 7.2).sum() == 96
@@ -154,7 +154,7 @@ def test_at128_sees_near_with_every_fourth_row_and_far_with_its_middle():
     assert np.degrees(np.ptp(spec.azimuth)) == pytest.approx(119.9)
 
 
-def test_opv2v_preset_follows_the_data_protocol():
+def test_opv2v_preset_follows_the_data_protocol() -> None:
     spec = get_lidar("opv2v-64")
     np.testing.assert_allclose(spec.elevation_deg, np.linspace(2.0, -25.0, 64), atol=1e-6)
     assert spec.rings * spec.columns * 20 == pytest.approx(1_300_000, rel=1e-3)
@@ -163,7 +163,7 @@ def test_opv2v_preset_follows_the_data_protocol():
     assert spec.intensity_law == "reflectivity"
 
 
-def test_carla_intensity_depends_on_range_alone_and_the_world_is_frozen():
+def test_carla_intensity_depends_on_range_alone_and_the_world_is_frozen() -> None:
     spec = get_lidar("carla-64")
     assert (spec.intensity_law, spec.attenuation) == ("distance", 0.004)
     assert (spec.dropoff_rate, spec.dropoff_intensity_limit, spec.dropoff_zero_intensity) == (0.45, 0.8, 0.4)
@@ -172,19 +172,19 @@ def test_carla_intensity_depends_on_range_alone_and_the_world_is_frozen():
 
 
 @pytest.mark.parametrize("name", ["debug-16", *REAL, *ROSETTES])
-def test_only_simulated_sensors_lose_points_at_random(name):
+def test_only_simulated_sensors_lose_points_at_random(name) -> None:
     spec = get_lidar(name)
     assert spec.dropoff_rate == spec.dropoff_zero_intensity == 0.0
 
 
-def test_field_of_view_of_a_roadside_unit_is_not_a_circle():
+def test_field_of_view_of_a_roadside_unit_is_not_a_circle() -> None:
     spec = get_lidar("dair-roadside")
     assert np.degrees(spec.azimuth[[0, -1]]) == pytest.approx([-50.0, 49.9])
     assert spec.rings == 300
 
 
 @pytest.mark.parametrize("name", list_scenarios())
-def test_roadside_units_of_the_scenarios_look_down_on_the_road(name):
+def test_roadside_units_of_the_scenarios_look_down_on_the_road(name) -> None:
     for unit in load_scenario(name).agents.roadside:
         spec = get_lidar(unit.lidar)
         top, bottom = spec.elevation_deg[0] - unit.pitch_deg, spec.elevation_deg[-1] - unit.pitch_deg
@@ -192,23 +192,23 @@ def test_roadside_units_of_the_scenarios_look_down_on_the_road(name):
         assert unit.xyz_m[2] / np.tan(np.radians(-bottom)) < 15.0
 
 
-def test_half_maximum_becomes_full_width():
+def test_half_maximum_becomes_full_width() -> None:
     width = full_divergence(0.13)
     assert np.exp(-2.0 * (np.radians(0.13) / width) ** 2) == pytest.approx(0.5, abs=1e-3)
 
 
-def test_a_typo_in_a_preset_name_gets_the_nearest_name():
+def test_a_typo_in_a_preset_name_gets_the_nearest_name() -> None:
     with pytest.raises(SettingsError, match=r"unknown lidar 'opv2v64'; did you mean 'opv2v-64'\?"):
         get_lidar("opv2v64")
 
 
-def test_the_table_in_the_documentation_is_current():
+def test_the_table_in_the_documentation_is_current() -> None:
     path = ROOT / "docs" / "lidar_presets.md"
     assert path.read_text() == document(), "python -m sensors.presets > docs/lidar_presets.md"
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_what_a_document_leaves_open_is_named_as_assumed(name):
+def test_what_a_document_leaves_open_is_named_as_assumed(name) -> None:
     """An accuracy without its confidence is taken as one standard deviation, a divergence without its level as FWHM."""
     spec = get_lidar(name)
     if "taken as 1 sigma" in spec.source:

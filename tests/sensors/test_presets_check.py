@@ -14,13 +14,13 @@ MINE = LidarSpec(name="mine-4", elevation_deg=(2.0, 0.0, -2.0, -8.0), columns=18
 
 
 @pytest.fixture
-def lidars(monkeypatch):
+def lidars(monkeypatch: pytest.MonkeyPatch):
     """Presets that a test may add to."""
     monkeypatch.setattr(LIDARS, "_values", dict(LIDARS._values))
     return LIDARS
 
 
-def test_a_registered_lidar_is_found_by_its_name(lidars):
+def test_a_registered_lidar_is_found_by_its_name(lidars) -> None:
     register_sensor(MINE)
     register_sensor(MINE)
     assert get_lidar("mine-4") is MINE
@@ -29,7 +29,7 @@ def test_a_registered_lidar_is_found_by_its_name(lidars):
         register_sensor(msgspec.structs.replace(MINE, columns=90))
 
 
-def test_an_entry_point_gives_a_lidar_and_a_wrong_one_says_so(lidars, monkeypatch):
+def test_an_entry_point_gives_a_lidar_and_a_wrong_one_says_so(lidars, monkeypatch: pytest.MonkeyPatch) -> None:
     values = {"ours": MINE, "other": 3.14}
     points = {name: EntryPoint(name, f"{__name__}:{name}", lidars.group) for name in values}
     monkeypatch.setitem(lidars.__dict__, "_installed", points)
@@ -40,15 +40,15 @@ def test_an_entry_point_gives_a_lidar_and_a_wrong_one_says_so(lidars, monkeypatc
 
 
 @pytest.mark.parametrize("name", ["vlp-16", "livox-avia", "debug-16"])
-def test_shipped_lidars_pass(name):
+def test_shipped_lidars_pass(name: str) -> None:
     check_sensor(name)
 
 
-def test_a_lidar_need_not_be_registered():
+def test_a_lidar_need_not_be_registered() -> None:
     check_sensor(MINE)
 
 
-def test_failures_have_one_line_each():
+def test_failures_have_one_line_each() -> None:
     blind = msgspec.structs.replace(MINE, name=" ", mount_xyz_m=(0.0, 0.0, -1.0), range_min_m=50.0, range_10_m=20.0)
     with pytest.raises(SettingsError) as error:
         check_sensor(blind)
@@ -60,7 +60,7 @@ def test_failures_have_one_line_each():
         check_sensor("nothing")
 
 
-def test_lost_beams_are_named():
+def test_lost_beams_are_named() -> None:
     weak = msgspec.structs.replace(MINE, dropoff_rate=1.0)
     with pytest.raises(SettingsError, match=r"beams: expected returns .* found none in \[0, 1, 2, 3\]"):
         check_sensor(weak)

@@ -78,7 +78,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("field", "changes", "expected"), REFUSED)
-def test_an_impossible_sensor_is_refused_with_its_name_the_field_what_was_expected_and_found(field, changes, expected):
+def test_an_impossible_sensor_is_refused_with_its_name_the_field_what_was_expected_and_found(
+    field, changes, expected
+) -> None:
     found = changes.get(field, getattr(get_lidar("debug-16"), field))
     shown = found if isinstance(found, str) else repr(found)
     with pytest.raises(SettingsError, match=re.escape(expected)) as error:
@@ -89,7 +91,7 @@ def test_an_impossible_sensor_is_refused_with_its_name_the_field_what_was_expect
     assert "\n" not in message
 
 
-def test_every_fact_about_a_sensor_has_a_refusal_here():
+def test_every_fact_about_a_sensor_has_a_refusal_here() -> None:
     facts = {(field, expected) for field, expected, _ in get_lidar("debug-16")._facts()}
     untested = {
         (field, expected)
@@ -99,7 +101,7 @@ def test_every_fact_about_a_sensor_has_a_refusal_here():
     assert not untested
 
 
-def test_a_sensor_at_the_limits_is_fine():
+def test_a_sensor_at_the_limits_is_fine() -> None:
     msgspec.structs.replace(
         get_lidar("debug-16"),
         elevation_deg=(90.0, 0.0, 0.0, -90.0),
@@ -145,7 +147,7 @@ MISTAKEN = [
 
 
 @pytest.mark.parametrize(("field", "found", "expected"), MISTAKEN)
-def test_a_value_of_another_type_is_refused_like_an_impossible_one(field, found, expected):
+def test_a_value_of_another_type_is_refused_like_an_impossible_one(field, found, expected) -> None:
     with pytest.raises(SettingsError, match=re.escape(f"{field}: expected {expected}, found ")) as error:
         msgspec.structs.replace(get_lidar("debug-16"), **{field: found})
     assert " ".join(repr(found).split())[:30] in str(error.value)
@@ -153,13 +155,13 @@ def test_a_value_of_another_type_is_refused_like_an_impossible_one(field, found,
 
 
 @pytest.mark.parametrize(("field", "found"), [("rate_hz", "10"), ("wedge_deg", None), ("slanted_exit", "no")])
-def test_a_prism_of_other_types_is_refused(field, found):
+def test_a_prism_of_other_types_is_refused(field: str, found: str | None) -> None:
     with pytest.raises(SettingsError, match=f"Prism: {field}: expected .*, found {found!r}"):
         msgspec.structs.replace(WEDGE, **{field: found})
 
 
 @pytest.mark.parametrize("kind", [list, np.array, lambda table: np.array(table, np.float32)])
-def test_tables_may_be_lists_and_arrays(kind):
+def test_tables_may_be_lists_and_arrays(kind) -> None:
     tables = {
         "elevation_deg": (2.0, 0.5, -1.0),
         "azimuth_offset_deg": (0.25, 0.0, -0.25),
@@ -173,12 +175,12 @@ def test_tables_may_be_lists_and_arrays(kind):
     assert msgspec.to_builtins(given) == msgspec.to_builtins(plain)
 
 
-def test_a_misspelt_field_is_refused():
+def test_a_misspelt_field_is_refused() -> None:
     with pytest.raises(TypeError, match="ring_count"):
         LidarSpec(name="x", elevation_deg=(0.0,), columns=1, ring_count=3)
 
 
-def test_columns_share_the_field_of_view_evenly_in_both_directions():
+def test_columns_share_the_field_of_view_evenly_in_both_directions() -> None:
     spec = msgspec.structs.replace(
         get_lidar("debug-16"), azimuth_start_deg=-60.0, azimuth_end_deg=60.0, columns=4, clockwise=True
     )
@@ -187,26 +189,26 @@ def test_columns_share_the_field_of_view_evenly_in_both_directions():
     np.testing.assert_allclose(np.degrees(back.azimuth), [-60.0, -30.0, 0.0, 30.0])
 
 
-def test_firing_times_are_centred_on_the_reference_time():
+def test_firing_times_are_centred_on_the_reference_time() -> None:
     spec = get_lidar("opv2v-64")
     assert spec.time_offset.shape == (64, 1016)
     assert spec.time_offset.mean() == pytest.approx(0.0, abs=1e-12)
     assert -0.05 < spec.time_offset[0, 0] < spec.time_offset[0, -1] < 0.05
 
 
-def test_beams_fire_in_the_middle_of_their_column_by_default():
+def test_beams_fire_in_the_middle_of_their_column_by_default() -> None:
     spec = msgspec.structs.replace(get_lidar("debug-16"), elevation_deg=(1.0, 0.0), columns=100)
     assert spec.time_offset[0, 50] == pytest.approx(0.5 * 1e-3)
     told = msgspec.structs.replace(spec, firing_s=(0.0, 2e-4))
     np.testing.assert_allclose(told.time_offset[:, 50], [0.0, 2e-4], atol=1e-12)
 
 
-def test_without_a_rolling_shutter_everything_fires_at_once():
+def test_without_a_rolling_shutter_everything_fires_at_once() -> None:
     spec = msgspec.structs.replace(get_lidar("vlp-16"), rolling_shutter=False)
     assert np.abs(spec.time_offset).max() == 0.0
 
 
-def test_beams_have_the_range_of_the_sensor_by_default():
+def test_beams_have_the_range_of_the_sensor_by_default() -> None:
     np.testing.assert_array_equal(get_lidar("debug-16").beam_range, [[0.5, 120.0]] * 16)
     told = msgspec.structs.replace(get_lidar("debug-16"), beam_range_m=((1.0, 50.0),) * 16)
     np.testing.assert_array_equal(told.beam_range, [[1.0, 50.0]] * 16)

@@ -23,7 +23,7 @@ planar = st.builds(
 )  # fmt: skip
 
 
-def test_corners_equal_the_reference():
+def test_corners_equal_the_reference() -> None:
     golden = np.load(GOLDENS / "models" / "corners.npz")
     np.testing.assert_allclose(Boxes.from_array(golden["boxes"][:, HWL]).corners(), golden["corners_hwl"], atol=1e-4)
     boxes = Boxes.from_array(golden["boxes"])
@@ -32,7 +32,7 @@ def test_corners_equal_the_reference():
     np.testing.assert_allclose(wrapped.corners(), golden["wrap_corners"], atol=1e-4)
 
 
-def test_hulls_projections_and_range_masks_equal_the_reference():
+def test_hulls_projections_and_range_masks_equal_the_reference() -> None:
     golden = np.load(GOLDENS / "models" / "corners.npz")
     corners = Boxes.from_array(golden["boxes"][:, HWL]).corners()
     plane = corners[:, :4, :2]
@@ -45,7 +45,7 @@ def test_hulls_projections_and_range_masks_equal_the_reference():
 
 
 @pytest.mark.parametrize("case", ["case0", "case1", "case2"])
-def test_vehicles_seen_from_a_tilted_lidar_equal_the_reference(case):
+def test_vehicles_seen_from_a_tilted_lidar_equal_the_reference(case: str) -> None:
     golden = {k.removeprefix(f"{case}/"): v for k, v in np.load(GOLDENS / "coords.npz").items() if k.startswith(case)}
     place = golden["location"] + golden["center"]
     lidar_from_vehicle = invert(carla_matrix(golden["lidar_pose"])) @ carla_matrix(np.hstack([place, golden["angle"]]))
@@ -60,13 +60,13 @@ def test_vehicles_seen_from_a_tilted_lidar_equal_the_reference(case):
     np.testing.assert_allclose(expected.corners(), golden["unfiltered/corners"], atol=1e-4)
 
 
-def test_points_in_boxes_equal_the_reference():
+def test_points_in_boxes_equal_the_reference() -> None:
     golden = np.load(GOLDENS / "points_in_boxes.npz")
     boxes = Boxes.from_array(golden["boxes"][:, HWL])
     np.testing.assert_array_equal(boxes.contains(golden["points"]), golden["in_rotated"])
 
 
-def test_a_car_at_45_degrees_contains_its_own_corners_but_not_those_of_its_hull():
+def test_a_car_at_45_degrees_contains_its_own_corners_but_not_those_of_its_hull() -> None:
     car = Boxes.from_array([[10, -3, 0.8, 4.6, 1.9, 1.6, np.pi / 4]])
     corners = car.corners()[0]
     assert car.contains(corners).all()
@@ -75,7 +75,7 @@ def test_a_car_at_45_degrees_contains_its_own_corners_but_not_those_of_its_hull(
 
 
 @given(rows)
-def test_every_box_contains_its_corners_and_its_centre(array):
+def test_every_box_contains_its_corners_and_its_centre(array) -> None:
     boxes = Boxes.from_array(array)
     assert np.diagonal(boxes.contains(boxes.center)).all()
     for i, corners in enumerate(boxes.corners()):
@@ -84,7 +84,7 @@ def test_every_box_contains_its_corners_and_its_centre(array):
 
 
 @given(rows, planar)
-def test_boxes_move_like_their_corners(array, destination_from_source):
+def test_boxes_move_like_their_corners(array, destination_from_source) -> None:
     boxes = Boxes.from_array(array)
     moved = boxes.transform(destination_from_source)
     expected = transform_points(destination_from_source, boxes.corners().reshape(-1, 3)).reshape(-1, 8, 3)
@@ -95,7 +95,7 @@ def test_boxes_move_like_their_corners(array, destination_from_source):
 
 
 @given(rows, planar)
-def test_points_inside_stay_inside_when_everything_moves(array, destination_from_source):
+def test_points_inside_stay_inside_when_everything_moves(array, destination_from_source) -> None:
     boxes = Boxes.from_array(array)
     local = np.random.default_rng(0).uniform(-0.7, 0.7, (40, 3))
     points = (boxes.center[:, None] + local * 3).reshape(-1, 3)
@@ -106,14 +106,14 @@ def test_points_inside_stay_inside_when_everything_moves(array, destination_from
     np.testing.assert_array_equal(after[clear], before[clear])
 
 
-def test_corners_run_front_right_front_left_rear_left_rear_right_bottom_first():
+def test_corners_run_front_right_front_left_rear_left_rear_right_bottom_first() -> None:
     corners = Boxes.from_array([[0, 0, 0, 4, 2, 1, 0]]).corners()[0]
     np.testing.assert_allclose(corners[:4], [[2, -1, -0.5], [2, 1, -0.5], [-2, 1, -0.5], [-2, -1, -0.5]])
     np.testing.assert_allclose(corners[4:] - corners[:4], [[0, 0, 1]] * 4)
 
 
 @given(rows)
-def test_footprints_are_counter_clockwise_and_as_large_as_length_times_width(array):
+def test_footprints_are_counter_clockwise_and_as_large_as_length_times_width(array) -> None:
     boxes = Boxes.from_array(array)
     for polygon, (length, width, _) in zip(boxes.bev_polygons(), boxes.size, strict=True):
         shape = Polygon(polygon)
@@ -121,7 +121,7 @@ def test_footprints_are_counter_clockwise_and_as_large_as_length_times_width(arr
         assert shape.area == pytest.approx(length * width)
 
 
-def test_a_margin_grows_every_face():
+def test_a_margin_grows_every_face() -> None:
     car = Boxes.from_array([[0, 0, 0, 4, 2, 1, np.pi / 2]])
     beside = [[1.05, 0, 0], [0, 2.05, 0], [0, 0, 0.55]]
     assert not car.contains(beside).any()
@@ -129,7 +129,7 @@ def test_a_margin_grows_every_face():
     assert not car.contains([[0.95, 0, 0]], margin=-0.1).any()
 
 
-def test_a_tilted_destination_keeps_boxes_upright():
+def test_a_tilted_destination_keeps_boxes_upright() -> None:
     car = Boxes.from_array([[10, 0, 0, 4, 2, 1.5, 0.3]])
     tilted = car.transform(pose_matrix([0, 0, 0], 0.5, 0.05, 0.02))
     np.testing.assert_allclose(tilted.size, car.size)
@@ -137,7 +137,7 @@ def test_a_tilted_destination_keeps_boxes_upright():
     assert np.ptp(tilted.corners()[0, :4, 2]) == pytest.approx(0, abs=1e-12)
 
 
-def test_rows_keep_labels_and_ids_through_selection_and_stacking():
+def test_rows_keep_labels_and_ids_through_selection_and_stacking() -> None:
     boxes = Boxes.from_array(np.ones((3, 7)), label=[0, 3, 6], object_id=[1000, 1001, 1002])
     assert boxes.is_vehicle.tolist() == [True, True, False]
     picked = concatenate([boxes[boxes.is_vehicle], boxes[[2]], boxes[:0]])
@@ -146,7 +146,7 @@ def test_rows_keep_labels_and_ids_through_selection_and_stacking():
     np.testing.assert_array_equal(picked.array, boxes.array)
 
 
-def test_no_boxes_are_boxes():
+def test_no_boxes_are_boxes() -> None:
     none = Boxes.zeros()
     assert len(none) == len(concatenate([])) == 0
     assert none.corners().shape == (0, 8, 3)
@@ -156,6 +156,6 @@ def test_no_boxes_are_boxes():
     assert Boxes.from_array(np.ones((2, 7))).contains(np.zeros((0, 3))).shape == (2, 0)
 
 
-def test_columns_of_the_wrong_length_are_refused():
+def test_columns_of_the_wrong_length_are_refused() -> None:
     with pytest.raises(ValueError, match=r"Boxes\.yaw must have shape \(2,\)"):
         Boxes(np.zeros((2, 3)), np.ones((2, 3)), np.zeros(3), np.zeros(2, np.int64), np.zeros(2, np.int64))

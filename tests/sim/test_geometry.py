@@ -32,7 +32,7 @@ def random_poses(n=1000, seed=0):
 
 
 @given(pose, pose, pose)
-def test_poses_form_a_group(a, b, c):
+def test_poses_form_a_group(a, b, c) -> None:
     np.testing.assert_allclose((a @ b) @ c, a @ (b @ c), atol=1e-8)
     np.testing.assert_allclose(a @ np.eye(4), a)
     np.testing.assert_allclose(a @ invert(a), np.eye(4), atol=1e-9)
@@ -41,7 +41,7 @@ def test_poses_form_a_group(a, b, c):
 
 
 @given(pose)
-def test_a_pose_is_a_rotation_and_a_place(matrix):
+def test_a_pose_is_a_rotation_and_a_place(matrix) -> None:
     rotation = matrix[:3, :3]
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
@@ -49,13 +49,13 @@ def test_a_pose_is_a_rotation_and_a_place(matrix):
 
 
 @given(pose)
-def test_angles_of_a_pose_make_the_pose(matrix):
+def test_angles_of_a_pose_make_the_pose(matrix) -> None:
     yaw, pitch, roll = pose_angles(matrix)
     np.testing.assert_allclose(pose_matrix(matrix[:3, 3], yaw, pitch, roll), matrix, atol=1e-9)
 
 
 @given(pose)
-def test_a_rounded_rotation_becomes_one_again(matrix):
+def test_a_rounded_rotation_becomes_one_again(matrix) -> None:
     rotation = matrix[:3, :3]
     assert np.allclose(nearest_rotation(rotation), rotation, atol=1e-12)
     back = nearest_rotation(np.round(rotation, 3))
@@ -64,11 +64,11 @@ def test_a_rounded_rotation_becomes_one_again(matrix):
     assert np.array_equal(nearest_rotation(back), back)
 
 
-def test_a_mirror_has_a_rotation_next_to_it():
+def test_a_mirror_has_a_rotation_next_to_it() -> None:
     assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1.0)
 
 
-def test_yaw_is_counter_clockwise_and_pitch_lowers_the_front():
+def test_yaw_is_counter_clockwise_and_pitch_lowers_the_front() -> None:
     forward, left = [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]
     north = pose_matrix([0, 0, 0], np.pi / 2)
     np.testing.assert_allclose(transform_points(north, forward), [[0, 1, 0]], atol=1e-12)
@@ -77,7 +77,7 @@ def test_yaw_is_counter_clockwise_and_pitch_lowers_the_front():
     assert transform_points(pose_matrix([0, 0, 0], 0.0, roll=0.1), left)[0, 2] > 0
 
 
-def test_many_poses_at_once_equal_one_at_a_time():
+def test_many_poses_at_once_equal_one_at_a_time() -> None:
     xyz, yaw, pitch, roll = random_poses(20)
     together = pose_matrix(xyz, yaw, pitch, roll)
     for i in range(20):
@@ -86,7 +86,7 @@ def test_many_poses_at_once_equal_one_at_a_time():
 
 
 @given(st.floats(-1e4, 1e4))
-def test_wrapped_angles_lie_in_one_turn_and_point_the_same_way(a):
+def test_wrapped_angles_lie_in_one_turn_and_point_the_same_way(a: float) -> None:
     wrapped = float(wrap_angle(a))
     assert -np.pi < wrapped <= np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(a), abs=1e-9)
@@ -94,13 +94,13 @@ def test_wrapped_angles_lie_in_one_turn_and_point_the_same_way(a):
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 1, 3])
-def test_half_turns_wrap_to_plus_pi(turns):
+def test_half_turns_wrap_to_plus_pi(turns: int) -> None:
     assert wrap_angle(turns * np.pi) == pytest.approx(np.pi)
     assert -np.pi < wrap_angle(np.nextafter(turns * np.pi, 100)) <= np.pi
     assert -np.pi < wrap_angle(np.nextafter(turns * np.pi, -100)) <= np.pi
 
 
-def test_points_keep_their_dtype_but_are_moved_in_double_precision():
+def test_points_keep_their_dtype_but_are_moved_in_double_precision() -> None:
     far = pose_matrix([4e6, 0, 0], 0.3)
     local = np.array([[1.25, 2.5, 0.0]], np.float32)
     there = transform_points(far, local.astype(np.float64))
@@ -111,7 +111,7 @@ def test_points_keep_their_dtype_but_are_moved_in_double_precision():
     assert transform_points(far, np.zeros((0, 3), np.float32)).shape == (0, 3)
 
 
-def test_a_sumo_car_heading_north_has_its_centre_south_of_its_bumper():
+def test_a_sumo_car_heading_north_has_its_centre_south_of_its_bumper() -> None:
     base, yaw, pitch = center_from_sumo([[10.0, 20.0, 1.0]], [0.0], [0.0], [5.0])
     np.testing.assert_allclose(base, [[10, 17.5, 1]], atol=1e-12)
     np.testing.assert_allclose([yaw, pitch], [[np.pi / 2], [0]], atol=1e-12)
@@ -119,14 +119,14 @@ def test_a_sumo_car_heading_north_has_its_centre_south_of_its_bumper():
     np.testing.assert_allclose(east, [0], atol=1e-12)
 
 
-def test_a_sumo_car_going_uphill_has_its_nose_up_and_its_centre_lower():
+def test_a_sumo_car_going_uphill_has_its_nose_up_and_its_centre_lower() -> None:
     base, yaw, pitch = center_from_sumo([[0.0, 0.0, 0.0]], [90.0], [10.0], [4.0])
     nose = transform_points(pose_matrix(base, yaw, pitch)[0], [[2.0, 0.0, 0.0]])
     np.testing.assert_allclose(nose, [[0, 0, 0]], atol=1e-12)
     assert base[0, 2] < 0
 
 
-def test_a_carla_car_has_y_to_the_right():
+def test_a_carla_car_has_y_to_the_right() -> None:
     matrix = matrix_from_carla([1.0, 2.0, 0.5, 0.0, 90.0, 0.0])
     np.testing.assert_allclose(matrix[:3, 3], [1, -2, 0.5])
     np.testing.assert_allclose(transform_points(matrix, [[1, 0, 0]]), [[1, -3, 0.5]], atol=1e-12)
@@ -141,7 +141,7 @@ def sumo_from_center(base, yaw, pitch, length):
     return base + 0.5 * length[:, None] * forward, np.mod(90.0 - np.degrees(yaw), 360.0), np.degrees(slope)
 
 
-def test_sumo_to_ours_and_back():
+def test_sumo_to_ours_and_back() -> None:
     xyz, yaw, pitch, _ = random_poses()
     length = np.random.default_rng(1).uniform(1, 18, len(yaw))
     front, angle_deg, slope_deg = sumo_from_center(xyz, yaw, pitch, length)
@@ -152,14 +152,14 @@ def test_sumo_to_ours_and_back():
     np.testing.assert_allclose(pitch_again, pitch, atol=1e-12)
 
 
-def test_ours_to_carla_and_back():
+def test_ours_to_carla_and_back() -> None:
     matrix = pose_matrix(*random_poses())
     poses = carla_from_matrix(matrix)
     np.testing.assert_allclose(matrix_from_carla(poses), matrix, atol=1e-9)
     np.testing.assert_allclose(carla_from_matrix(matrix_from_carla(poses)), poses, atol=1e-9)
 
 
-def test_sumo_to_carla_and_back_through_ours():
+def test_sumo_to_carla_and_back_through_ours() -> None:
     xyz, yaw, pitch, _ = random_poses(seed=5)
     length = np.full(len(yaw), 4.6)
     front, angle_deg, slope_deg = sumo_from_center(xyz, yaw, pitch, length)
@@ -173,7 +173,7 @@ def test_sumo_to_carla_and_back_through_ours():
     np.testing.assert_allclose(roll, 0, atol=1e-12)
 
 
-def test_carla_matrices_equal_the_reference():
+def test_carla_matrices_equal_the_reference() -> None:
     world = carla_matrix(GOLDEN["poses"])
     np.testing.assert_allclose(world, GOLDEN["x_to_world"], atol=1e-9)
     np.testing.assert_allclose(invert(np.roll(world, -1, axis=0)) @ world, GOLDEN["x1_to_x2_next"], atol=1e-9)
@@ -183,7 +183,7 @@ def test_carla_matrices_equal_the_reference():
     np.testing.assert_allclose(pairs, GOLDEN["pairwise_t_matrix"][:3, :3], atol=1e-9)
 
 
-def test_our_matrices_are_the_references_mirrored():
+def test_our_matrices_are_the_references_mirrored() -> None:
     ours, theirs = matrix_from_carla(GOLDEN["poses"]), GOLDEN["x_to_world"]
     points = np.random.default_rng(2).uniform(-50, 50, (30, 3))
     flip = np.array([1.0, -1.0, 1.0])
@@ -192,6 +192,6 @@ def test_our_matrices_are_the_references_mirrored():
     )
 
 
-def test_moved_points_equal_the_reference():
+def test_moved_points_equal_the_reference() -> None:
     moved = transform_points(GOLDEN["points_T"], GOLDEN["points"])
     np.testing.assert_allclose(moved, GOLDEN["points_projected"], atol=1e-4)

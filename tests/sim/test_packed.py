@@ -41,7 +41,9 @@ def test_a_header_that_asks_for_more_than_the_file_holds_is_refused_before_memor
     assert "\n" not in str(caught.value)
 
 
-def test_an_archive_that_unpacks_to_more_than_the_limit_is_refused(tmp_path: Path, monkeypatch) -> None:
+def test_an_archive_that_unpacks_to_more_than_the_limit_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "zeros.npz"
     write_arrays(path, {"a": np.zeros(1000), "b": np.zeros(1000)})
     assert set(read_arrays(path, "log")) == {"a", "b"}

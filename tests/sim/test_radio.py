@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace as changed
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,13 +50,13 @@ def at(
         (FAST, Obstruction.BUILDING, [0.46, 0.01, 0, 0, 0, 0, 0, 0]),
     ],
 )
-def test_delivery_keeps_the_table(spec, sight, row):
+def test_delivery_keeps_the_table(spec, sight, row: list[int] | list[float]) -> None:
     """The table of `closed_loop.md` 5, 25 to 500 m at 23 dBm."""
     found = [delivery_probability(spec, d, sight) for d in (25, 50, 70, 100, 150, 200, 300, 500)]
     np.testing.assert_allclose(found, row, atol=0.006)
 
 
-def test_airtimes_keep_the_table():
+def test_airtimes_keep_the_table() -> None:
     assert airtime_s(SLOW, 300) == pytest.approx(0.448e-3)
     assert airtime_s(SLOW, 541) == pytest.approx(0.77e-3, abs=0.005e-3)
     features = 1_060_000 // 8
@@ -66,13 +67,13 @@ def test_airtimes_keep_the_table():
     assert cpm_bytes(10) == pytest.approx(541, abs=40)
 
 
-def test_whole_features_seldom_arrive():
+def test_whole_features_seldom_arrive() -> None:
     """95 packets of 99 % each arrive together in 38 of 100 cases."""
     assert 0.99 ** packet_count(SLOW, 132_500) == pytest.approx(0.385, abs=0.005)
 
 
 @pytest.mark.parametrize("environment", ["urban", "highway"])
-def test_path_loss_grows_with_distance_and_with_what_is_between(environment):
+def test_path_loss_grows_with_distance_and_with_what_is_between(environment: str) -> None:
     distance = np.geomspace(2.0, 1000.0, 60)
     free, vehicle = (path_loss_db(distance, s, environment) for s in (Obstruction.FREE, Obstruction.VEHICLE))
     assert (np.diff(free) > 0).all() and (np.diff(vehicle) > 0).all()
@@ -80,7 +81,7 @@ def test_path_loss_grows_with_distance_and_with_what_is_between(environment):
 
 
 @pytest.mark.parametrize("sight", list(Obstruction))
-def test_packets_arrive_as_often_as_the_link_budget_says(sight):
+def test_packets_arrive_as_often_as_the_link_budget_says(sight) -> None:
     """Over many links, whatever part of the variance is shadowing."""
     spec = replace(FAST, collision_share=0.0)
     distance = {Obstruction.FREE: 200.0, Obstruction.VEHICLE: 70.0, Obstruction.BUILDING: 25.0}[sight]
@@ -89,7 +90,7 @@ def test_packets_arrive_as_often_as_the_link_budget_says(sight):
     assert share == pytest.approx(delivery_probability(spec, distance, sight), abs=0.05)
 
 
-def test_shadowing_is_alike_nearby_and_both_ways():
+def test_shadowing_is_alike_nearby_and_both_ways() -> None:
     channels = [Channel(SLOW, seed, 0.1) for seed in range(400)]
 
     def shadow(x: float, ends: tuple[int, int] = (0, 1)) -> np.ndarray:
@@ -104,14 +105,14 @@ def test_shadowing_is_alike_nearby_and_both_ways():
     assert abs(far) < 0.15
 
 
-def test_ideal_delivers_everything_at_once():
+def test_ideal_delivers_everything_at_once() -> None:
     channel = Channel(PRESETS["ideal"], 0, 0.1)
     for index in range(5):
         link = channel.newest([at(index, [(0.0, 0.0), (69.0, 0.0)], 10**7)], 0, 1)
         assert link.sent == index and link.age_s == 0.0 and link.arrived.all()
 
 
-def test_paper_is_a_tenth_of_a_second_late_and_ends_at_seventy_metres():
+def test_paper_is_a_tenth_of_a_second_late_and_ends_at_seventy_metres() -> None:
     channel = Channel(PRESETS["paper"], 0, 0.1)
     drive = [at(index, [(0.0, 0.0), (69.0, 0.0), (71.0, 0.0)]) for index in (3, 2, 1, 0)]
     link = channel.newest(drive, 1, 0)
@@ -120,7 +121,7 @@ def test_paper_is_a_tenth_of_a_second_late_and_ends_at_seventy_metres():
     assert not channel.newest(drive[-1:], 1, 0).received  # nothing was sent before the first instant
 
 
-def test_links_do_not_depend_on_what_was_asked_before():
+def test_links_do_not_depend_on_what_was_asked_before() -> None:
     drive = [at(index, [(0.0, 0.0), (150.0, 0.0), (40.0, 9.0)], 20_000) for index in range(9, -1, -1)]
     fresh = Channel(FAST, 5, 0.1).newest(drive, 1, 0)
     used = Channel(FAST, 5, 0.1)
@@ -131,7 +132,7 @@ def test_links_do_not_depend_on_what_was_asked_before():
     np.testing.assert_array_equal(again.arrived, fresh.arrived)
 
 
-def test_more_senders_make_messages_older():
+def test_more_senders_make_messages_older() -> None:
     """Five feature messages of 43 ms each do not fit into 100 ms: some instants are left out."""
 
     def ages(count: int) -> float:
@@ -145,7 +146,7 @@ def test_more_senders_make_messages_older():
     assert alone.load < 0.05 < 0.3 < crowded.load <= 1.0
 
 
-def test_a_reservation_that_collides_collides_throughout():
+def test_a_reservation_that_collides_collides_throughout() -> None:
     spec = replace(PRESETS["c-v2x"], collision_share=1.0, power_dbm=60.0)
     channel = Channel(spec, 3, 0.1)
     places = [(4.0 * k, 0.0) for k in range(40)]
@@ -155,7 +156,7 @@ def test_a_reservation_that_collides_collides_throughout():
     assert 0 < blocks.any(axis=1).sum() < 10
 
 
-def test_tiles_of_lost_packets():
+def test_tiles_of_lost_packets() -> None:
     arrived = np.ones(4, bool)
     assert not lost_tiles(arrived, 3, 4).any()
     arrived[1] = False
@@ -168,7 +169,7 @@ def test_tiles_of_lost_packets():
 
 
 @pytest.mark.parametrize("packets", [1, 2, 3, 7, 95, 2200, 5000])
-def test_as_many_tiles_are_lost_as_packets(packets):
+def test_as_many_tiles_are_lost_as_packets(packets: int) -> None:
     rng = np.random.default_rng(packets)
     arrived = rng.random(packets) > 0.3
     lost = lost_tiles(arrived, 25, 88)
@@ -176,7 +177,7 @@ def test_as_many_tiles_are_lost_as_packets(packets):
     assert lost.mean() >= (~arrived).mean() - 1e-9
 
 
-def test_trace_replays_delay_and_loss(tmp_path):
+def test_trace_replays_delay_and_loss(tmp_path: Path) -> None:
     file = tmp_path / "trace.csv"
     file.write_text("time_s,sender,receiver,delay_s,loss\n0,*,*,0.0,0\n1.0,1,0,0.25,0\n2.0,*,*,0,1\n")
     channel = Channel(get_channel(f"trace:{file}"), 0, 0.5)
@@ -197,14 +198,14 @@ def test_trace_replays_delay_and_loss(tmp_path):
         ("time_s,delay_s,loss\n", "rows: expected at least one"),
     ],
 )
-def test_bad_traces_are_named(tmp_path, content, message):
+def test_bad_traces_are_named(tmp_path: Path, content: str, message: str) -> None:
     file = tmp_path / "bad.csv"
     file.write_text(content)
     with pytest.raises(DataError, match=message):
         get_channel(f"trace:{file}")
 
 
-def test_unknown_channels_are_named(tmp_path):
+def test_unknown_channels_are_named(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="did you mean 'its-g5-6'"):
         get_channel("its-g5")
     with pytest.raises(SettingsError, match="trace:FILE"):
@@ -215,7 +216,7 @@ def test_unknown_channels_are_named(tmp_path):
         Channel(SLOW, 0, 0.0)
 
 
-def test_an_agent_that_was_not_there_sent_nothing():
+def test_an_agent_that_was_not_there_sent_nothing() -> None:
     channel = Channel(PRESETS["paper"], 0, 0.1)
     now, before = at(1, [(0.0, 0.0), (9.0, 0.0)]), at(0, [(0.0, 0.0), (9.0, 0.0)])
     alone = changed(before, agent_ids=(0, 7))
@@ -223,14 +224,14 @@ def test_an_agent_that_was_not_there_sent_nothing():
     assert not channel.newest([now, alone], 1, 0).received
 
 
-def test_a_negative_delay_is_told_its_bound(tmp_path):
+def test_a_negative_delay_is_told_its_bound(tmp_path: Path) -> None:
     file = tmp_path / "early.csv"
     file.write_text("time_s,delay_s,loss\n0,-1,0\n")
     with pytest.raises(DataError, match="delay_s: expected at least 0, found -1"):
         get_channel(f"trace:{file}")
 
 
-def test_so_many_packets_are_lost_as_the_settings_say_and_each_by_itself():
+def test_so_many_packets_are_lost_as_the_settings_say_and_each_by_itself() -> None:
     lossy = Channel(replace(PRESETS["ideal"], packet_loss=0.3), 1, 0.1)
     links = [lossy.link(at(i, [(0, 0), (20, 0)], 140_000), 1, 0) for i in range(100)]
     arrived = np.concatenate([link.arrived for link in links])
@@ -239,7 +240,7 @@ def test_so_many_packets_are_lost_as_the_settings_say_and_each_by_itself():
     assert links[0].probability == pytest.approx(0.7)
 
 
-def test_instants_are_made_only_as_far_back_as_is_looked():
+def test_instants_are_made_only_as_far_back_as_is_looked() -> None:
     class Made(list):
         asked: tuple = ()
 
@@ -253,14 +254,14 @@ def test_instants_are_made_only_as_far_back_as_is_looked():
     assert instants.asked == (0,)
 
 
-def test_what_is_on_air_now_is_the_size_of_the_present_message():
+def test_what_is_on_air_now_is_the_size_of_the_present_message() -> None:
     late = Channel(ChannelSpec(name="late", medium="fixed", delay_s=0.1), 1, 0.1)
     places = [(0.0, 0.0), (20.0, 0.0)]
     link = late.newest([at(1, places, 5_000), at(0, places, 1_000)], 1, 0)
     assert (link.sent, link.bytes, link.bytes_now) == (0, 1_000, 5_000)
 
 
-def test_who_waits_for_its_turn_puts_nothing_on_air():
+def test_who_waits_for_its_turn_puts_nothing_on_air() -> None:
     """Four senders of 16 kB at 6 Mb/s: congestion control gives each every fifth instant."""
     channel = Channel(SLOW, 1, 0.1)
     places = [(0.0, 0.0), (20.0, 0.0), (40.0, 0.0), (60.0, 0.0)]
@@ -275,17 +276,17 @@ def test_who_waits_for_its_turn_puts_nothing_on_air():
 
 
 @pytest.mark.parametrize("radio", [Radio(), Radio("c-v2x", loss=0.3), Radio("paper", 0.0, 0.2, 0.4)])
-def test_the_label_of_a_radio_is_read_back(radio):
+def test_the_label_of_a_radio_is_read_back(radio) -> None:
     assert Radio.parse(radio.label) == radio
 
 
-def test_lost_packets_need_no_trace():
+def test_lost_packets_need_no_trace() -> None:
     spec = get_channel("ideal,loss=0.3,delay_s=0.05,pose_error=0.2")
     assert (spec.packet_loss, spec.delay_s, spec.position_error_m, spec.heading_error_deg) == (0.3, 0.05, 0.2, 0.2)
     assert get_channel("ideal") == PRESETS["ideal"]
 
 
 @pytest.mark.parametrize("text", ["ideal,loss=2", "ideal,loss=much", "ideal,delay_s=-1", "pigeon,loss=0.1"])
-def test_a_wrong_change_of_a_channel_is_refused(text):
+def test_a_wrong_change_of_a_channel_is_refused(text: str) -> None:
     with pytest.raises(SettingsError, match="channel"):
         get_channel(text)

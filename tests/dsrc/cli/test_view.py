@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
     return seen
 
 
-def test_a_picture_shows_what_options_and_link_say(data, drawn, tmp_path):
+def test_a_picture_shows_what_options_and_link_say(data: Path, drawn: list[tuple], tmp_path: Path) -> None:
     out = {"picture": tmp_path / "p.png", "animation": tmp_path / "a.gif"}
     View(data=data, frame=1, corruption="fog", severity=4, who="ego", link="iou=0.7", **out).run()
     for state, _ in drawn:
@@ -68,7 +69,9 @@ def test_a_picture_shows_what_options_and_link_say(data, drawn, tmp_path):
         ({"picture": "p.png", "link": "frame=9"}, "link: frame: expected 0 to 2, found 9"),
     ],
 )
-def test_what_would_do_nothing_is_refused(data, drawn, tmp_path, options, told):
+def test_what_would_do_nothing_is_refused(
+    data: Path, drawn: list[tuple], tmp_path: Path, options: dict[str, Any], told: str
+) -> None:
     paths = {name: tmp_path / options[name] for name in ("out", "picture") if name in options}
     with pytest.raises(SettingsError, match=told):
         View(data=data, **{**options, **paths}).run()

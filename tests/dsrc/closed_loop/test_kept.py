@@ -19,7 +19,7 @@ def eebl(control: str = "") -> Scenario:
     return load_scenario(f"eebl_chain{control}")
 
 
-def test_a_slow_world_is_built_once_and_read_bit_for_bit(empty_cache: Path, monkeypatch) -> None:
+def test_a_slow_world_is_built_once_and_read_bit_for_bit(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = load_scenario("four_way")
     monkeypatch.setattr(kept, "_SLOW_S", 0.0)
     built = build_world(scenario, SEED)
@@ -32,7 +32,9 @@ def test_a_slow_world_is_built_once_and_read_bit_for_bit(empty_cache: Path, monk
     assert kept.world_scene(scenario, SEED) is kept.world_scene(load_scenario("four_way"), SEED)
 
 
-def test_the_oldest_worlds_go_and_a_damaged_one_is_built_again(empty_cache: Path, monkeypatch) -> None:
+def test_the_oldest_worlds_go_and_a_damaged_one_is_built_again(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(kept, "_SLOW_S", 0.0)
     monkeypatch.setattr(kept, "_MOST_WORLDS", 2)
     scenario = with_proven_encounter(eebl(), SEED)
@@ -44,13 +46,13 @@ def test_the_oldest_worlds_go_and_a_damaged_one_is_built_again(empty_cache: Path
     assert np.array_equal(kept._world(scenario, SEED + 2).vertices, first.vertices)
 
 
-def test_a_fast_world_is_not_kept(empty_cache: Path, monkeypatch) -> None:
+def test_a_fast_world_is_not_kept(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kept, "_SLOW_S", 1e6)
     kept._world(with_proven_encounter(eebl(), SEED), SEED)
     assert not (empty_cache / "worlds").exists()
 
 
-def test_a_cache_that_cannot_be_written_to_costs_time_alone(empty_cache: Path, monkeypatch) -> None:
+def test_a_cache_that_cannot_be_written_to_costs_time_alone(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError("read-only")
 

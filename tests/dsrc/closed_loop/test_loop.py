@@ -104,7 +104,7 @@ def test_tracks_go_on_between_detections() -> None:
     loop.close()
 
 
-def _raise(now):
+def _raise(now) -> None:
     raise RuntimeError("out of memory\nat line 3")
 
 
@@ -230,7 +230,7 @@ def test_another_process_with_other_threads_writes_the_same_log(tmp_path: Path) 
     assert written[0] == written[1]
 
 
-def test_a_replay_shows_the_same_and_other_eyes_see_something_else(tmp_path) -> None:
+def test_a_replay_shows_the_same_and_other_eyes_see_something_else(tmp_path: Path) -> None:
     log = drive("ima_building").log(perception="truth")
     again = replay(EpisodeLog.load(log.save(tmp_path / "log.npz")), TruthPerception(), "truth")
     blind = replay(log, Blind(), "nothing")

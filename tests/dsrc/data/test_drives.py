@@ -92,7 +92,7 @@ def real_opv2v(split: Path, stem_digits: int = 6) -> Path:
 
 
 @pytest.mark.parametrize("digits", [5, 6])
-def test_opv2v_and_v2xset_read_as_they_come(tmp_path: Path, digits: int):
+def test_opv2v_and_v2xset_read_as_they_come(tmp_path: Path, digits: int) -> None:
     """V2XSet's names have 5 digits and its roadside units negative ids; nothing else differs."""
     scenario = real_opv2v(tmp_path / "train", digits)
     (reader,) = open_drives(tmp_path)
@@ -112,7 +112,7 @@ def test_opv2v_and_v2xset_read_as_they_come(tmp_path: Path, digits: int):
     assert frame.agents[0].world_from_body[2, 3] == 0.05
 
 
-def test_missing_speeds_are_differences_of_positions(tmp_path: Path):
+def test_missing_speeds_are_differences_of_positions(tmp_path: Path) -> None:
     scenario = real_opv2v(tmp_path)
     for path in scenario.glob("*/0000??.yaml"):
         content = yaml.safe_load(path.read_text())
@@ -124,7 +124,7 @@ def test_missing_speeds_are_differences_of_positions(tmp_path: Path):
     assert np.hypot(*frame.velocity[1]) == pytest.approx(5.0)
 
 
-def test_python_in_a_yaml_is_not_run(tmp_path: Path):
+def test_python_in_a_yaml_is_not_run(tmp_path: Path) -> None:
     scenario = real_opv2v(tmp_path)
     path = scenario / "641" / "000069.yaml"
     path.write_text(f"lidar_pose: !!python/object/apply:os.system ['touch {tmp_path / 'pwned'}']\n" + path.read_text())
@@ -133,7 +133,7 @@ def test_python_in_a_yaml_is_not_run(tmp_path: Path):
     assert not (tmp_path / "pwned").exists()
 
 
-def test_formats_beside_each_other_are_all_found(tmp_path: Path):
+def test_formats_beside_each_other_are_all_found(tmp_path: Path) -> None:
     real_opv2v(tmp_path / "opv2v")
     write_frame(tmp_path / "ours", toy_frame(0))
     root = dair_tree.make(tmp_path / "dair")
@@ -145,13 +145,13 @@ def test_formats_beside_each_other_are_all_found(tmp_path: Path):
     assert set(names) == {"3", "12", "2021_08_22_21_41_24", "ours"} and len(set(names.values())) == 4
 
 
-def test_a_drive_whose_name_is_a_number_does_not_make_its_folder_a_drive(tmp_path: Path):
+def test_a_drive_whose_name_is_a_number_does_not_make_its_folder_a_drive(tmp_path: Path) -> None:
     write_frame(tmp_path / "val" / "12", toy_frame(0))
     (tmp_path / "val" / "12" / "data_protocol.yaml").write_text("a: 1\n")
     assert list_drives(tmp_path) == list_drives(tmp_path / "val") == [tmp_path / "val" / "12"]
 
 
-def test_a_folder_without_drives_names_the_formats(tmp_path: Path):
+def test_a_folder_without_drives_names_the_formats(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"expected an OPV2V tree .* or a DAIR-V2X-C one"):
         list_drives(tmp_path)
     with pytest.raises(DataError, match="nowhere: no such folder"):

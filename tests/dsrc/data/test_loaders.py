@@ -31,7 +31,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return generate(scenario, tmp_path_factory.mktemp("train"), 3, seed=5, interval_s=0.2)
 
 
-def test_boxes_land_on_their_points_by_the_rules_of_opv2v(drive: Path):
+def test_boxes_land_on_their_points_by_the_rules_of_opv2v(drive: Path) -> None:
     samples = loaders.opv2v(drive.parent)
     assert len(samples) == 3 and {sample["scenario"] for sample in samples} == {drive.name}
     far, near = 0, 0
@@ -50,7 +50,7 @@ def test_boxes_land_on_their_points_by_the_rules_of_opv2v(drive: Path):
     assert near / (near + far) >= 0.99
 
 
-def test_boxes_land_on_their_points_by_the_rules_of_dair(drive: Path, tmp_path: Path):
+def test_boxes_land_on_their_points_by_the_rules_of_dair(drive: Path, tmp_path: Path) -> None:
     convert(drive.parent, tmp_path / "out", "dair")
     root = tmp_path / "out" / "cooperative-vehicle-infrastructure"
     samples = loaders.dair(root, json.loads((root / "train.json").read_text()))
@@ -72,7 +72,7 @@ def test_boxes_land_on_their_points_by_the_rules_of_dair(drive: Path, tmp_path: 
     assert near / (near + far) >= 0.99
 
 
-def test_points_of_a_rolling_shutter_miss_moving_boxes_as_much_as_before(tmp_path: Path):
+def test_points_of_a_rolling_shutter_miss_moving_boxes_as_much_as_before(tmp_path: Path) -> None:
     """What a car that drives by moves in a turn of the sensor is in the frame, not made by its files."""
     scenario = load_scenario("four_way")
     agents = msgspec.structs.replace(scenario.agents, vehicles=2, lidar="debug-16", roadside=())
@@ -99,7 +99,7 @@ def test_points_of_a_rolling_shutter_miss_moving_boxes_as_much_as_before(tmp_pat
     assert missed > 0
 
 
-def test_the_same_points_miss_their_boxes_without_a_convention(drive: Path):
+def test_the_same_points_miss_their_boxes_without_a_convention(drive: Path) -> None:
     """The two tests above can fail: with the mirror, or half extents taken for whole ones, boxes miss their points."""
     misses = {"plain": [], "mirror": [], "whole": []}
     for sample in loaders.opv2v(drive.parent):

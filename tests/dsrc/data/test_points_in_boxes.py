@@ -19,7 +19,7 @@ def street(seed: int, n: int, p: int) -> tuple[Boxes, np.ndarray]:
 
 
 @given(st.integers(0, 999), st.integers(0, 12))
-def test_pairs_are_those_of_contains(seed: int, n: int):
+def test_pairs_are_those_of_contains(seed: int, n: int) -> None:
     boxes, points = street(seed, n, 200)
     rows, owners = points_in_boxes(boxes, points)
     expected = np.nonzero(boxes.contains(points).T)
@@ -28,7 +28,7 @@ def test_pairs_are_those_of_contains(seed: int, n: int):
 
 
 @given(st.integers(0, 999))
-def test_points_may_be_in_another_frame(seed: int):
+def test_points_may_be_in_another_frame(seed: int) -> None:
     boxes, points = street(seed, 8, 200)
     move = pose_matrix([3.0, -4.0, 0.5], 0.7, 0.02, -0.01)
     rows, owners = points_in_boxes(boxes, points, move)
@@ -37,7 +37,7 @@ def test_points_may_be_in_another_frame(seed: int):
     assert np.array_equal(mask, boxes.contains(transform_points(move, points.astype(np.float64))))
 
 
-def test_faces_are_included_and_overlapping_boxes_both_have_a_point():
+def test_faces_are_included_and_overlapping_boxes_both_have_a_point() -> None:
     boxes = Boxes.from_array(np.repeat([[10.0, 0.0, 1.0, 4.0, 2.0, 2.0, 0.0]], 100, axis=0))
     points = np.array([[8.0, 1.0, 0.0], [12.0, -1.0, 2.0], [12.001, 0.0, 1.0]], np.float32)
     rows, owners = points_in_boxes(boxes, points)
@@ -46,7 +46,7 @@ def test_faces_are_included_and_overlapping_boxes_both_have_a_point():
 
 
 @given(st.integers(0, 999), st.floats(0.0, 2.0))
-def test_boxes_may_be_grown(seed: int, margin: float):
+def test_boxes_may_be_grown(seed: int, margin: float) -> None:
     boxes, points = street(seed, 8, 200)
     rows, owners = points_in_boxes(boxes, points, margin=margin)
     mask = np.zeros((8, 200), bool)
@@ -55,7 +55,7 @@ def test_boxes_may_be_grown(seed: int, margin: float):
 
 
 @given(st.integers(0, 999))
-def test_hulls_are_between_the_least_and_the_greatest_corner(seed: int):
+def test_hulls_are_between_the_least_and_the_greatest_corner(seed: int) -> None:
     boxes, points = street(seed, 8, 200)
     rows, owners = points_in_boxes(boxes, points, hull=True)
     corners = boxes.corners().astype(np.float32)

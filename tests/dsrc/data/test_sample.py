@@ -19,7 +19,7 @@ from tests.dsrc.data.toy import toy_frame
 GRID = GridSpec((-140.8, -40.0, -6.0, 140.8, 40.0, 3.0))
 
 
-def test_the_golden_tree_gives_the_references_samples(tmp_path: Path):
+def test_the_golden_tree_gives_the_references_samples(tmp_path: Path) -> None:
     mini, expected = goldens.unpack_opv2v_mini(tmp_path), goldens.load("opv2v_mini_expected")
     frames = [r.read(i) for d in list_drives(mini) for r in [DriveReader(d)] for i in range(len(r))]
     ranges = {"train": GridSpec(), "test": GridSpec((-140.0, -40.0, -3.0, 140.0, 40.0, 1.0))}
@@ -37,7 +37,7 @@ def test_the_golden_tree_gives_the_references_samples(tmp_path: Path):
             assert np.abs(mirror @ sample.ego_from_agent @ mirror - reference[rows]).max() < 1e-9
 
 
-def test_the_own_body_rule_of_foreign_data_matches_the_reference():
+def test_the_own_body_rule_of_foreign_data_matches_the_reference() -> None:
     golden, frame = goldens.load("points_in_boxes"), toy_frame(0)
     points = golden["points"] * np.array([1, -1, 1], np.float32)
     sweep = replace(
@@ -49,7 +49,7 @@ def test_the_own_body_rule_of_foreign_data_matches_the_reference():
     assert np.array_equal(sample.clouds[0][:, :3], kept)
 
 
-def test_the_ego_is_the_first_vehicle_and_comes_first():
+def test_the_ego_is_the_first_vehicle_and_comes_first() -> None:
     frame = toy_frame(0)
     assert make_sample(frame, None, GRID).agent_ids == (1000, 1002, -1)
     assert make_sample(frame, 1002, GRID).agent_ids == (1002, 1000, -1)
@@ -58,14 +58,14 @@ def test_the_ego_is_the_first_vehicle_and_comes_first():
         make_sample(frame, 5, GRID)
 
 
-def test_agents_out_of_range_or_over_the_limit_do_not_take_part():
+def test_agents_out_of_range_or_over_the_limit_do_not_take_part() -> None:
     frame = toy_frame(0)
     assert make_sample(frame, None, SampleRequest(GRID, comm_range_m=25.0)).agent_ids == (1000, -1)
     assert make_sample(frame, None, SampleRequest(GRID, comm_range_m=0.0)).agent_ids == (1000,)
     assert make_sample(frame, None, SampleRequest(GRID, max_agents=2)).agent_ids == (1000, 1002)
 
 
-def test_by_folders_an_agent_out_of_range_takes_the_place_of_one_in_range():
+def test_by_folders_an_agent_out_of_range_takes_the_place_of_one_in_range() -> None:
     frame = toy_frame(0)  # the second folder's agent is 30 m away, the third's 25 m
     assert make_sample(frame, None, SampleRequest(GRID, comm_range_m=25.0, max_agents=2)).agent_ids == (1000, -1)
     assert make_sample(
@@ -75,7 +75,7 @@ def test_by_folders_an_agent_out_of_range_takes_the_place_of_one_in_range():
     assert make_sample(frame, -1, SampleRequest(GRID, max_agents=2, team_by="folders")).agent_ids == (-1, 1000)
 
 
-def test_opencood_judges_by_its_own_range_whatever_the_detectors(tmp_path: Path):
+def test_opencood_judges_by_its_own_range_whatever_the_detectors(tmp_path: Path) -> None:
     mini, expected = goldens.unpack_opv2v_mini(tmp_path), goldens.load("opv2v_mini_expected")
     frames = [r.read(i) for d in list_drives(mini) for r in [DriveReader(d)] for i in range(len(r))]
     small = ModelSettings(grid=GridSpec((-51.2, -25.6, -3.0, 51.2, 25.6, 1.0)), judged_by="opencood")
@@ -90,7 +90,7 @@ def test_opencood_judges_by_its_own_range_whatever_the_detectors(tmp_path: Path)
     assert beyond > 5
 
 
-def test_a_sample_is_made_as_the_settings_of_its_detector_say():
+def test_a_sample_is_made_as_the_settings_of_its_detector_say() -> None:
     frame = toy_frame(0)
     with pytest.warns(FutureWarning, match="SampleRequest"):
         assert make_sample(frame, None, GRID, max_agents=1).agent_ids == (1000,)
@@ -99,7 +99,7 @@ def test_a_sample_is_made_as_the_settings_of_its_detector_say():
     assert make_sample(frame, None, two.request, cooperative=False).agent_ids == (1000,)
 
 
-def test_clouds_of_all_agents_lie_on_the_same_objects():
+def test_clouds_of_all_agents_lie_on_the_same_objects() -> None:
     frame = toy_frame(3)
     sample = make_sample(frame, None, GRID)
     assert np.array_equal(sample.ego_from_agent[0], np.eye(4))
@@ -109,7 +109,7 @@ def test_clouds_of_all_agents_lie_on_the_same_objects():
         assert cloud.dtype == np.float32 and cloud.flags.c_contiguous
 
 
-def test_boxes_are_vehicles_with_a_point_of_any_agent_without_the_ego():
+def test_boxes_are_vehicles_with_a_point_of_any_agent_without_the_ego() -> None:
     sample = make_sample(toy_frame(0), None, GRID)
     assert sample.boxes.object_id.tolist() == [1001, 1002, 1004]
     assert [b.object_id.tolist() for b in sample.agent_boxes] == [[1001, 1002, 1004], [1001], [1001, 1002, 1004]]
@@ -117,7 +117,7 @@ def test_boxes_are_vehicles_with_a_point_of_any_agent_without_the_ego():
     assert kept.boxes.object_id.tolist() == [1000, 1001, 1002, 1004]
 
 
-def test_vulnerable_road_users_are_another_ground_truth_of_the_same_clouds():
+def test_vulnerable_road_users_are_another_ground_truth_of_the_same_clouds() -> None:
     vehicles, others = (
         make_sample(toy_frame(0), None, SampleRequest(GRID, users=users)) for users in ("vehicles", "vulnerable")
     )
@@ -125,14 +125,14 @@ def test_vulnerable_road_users_are_another_ground_truth_of_the_same_clouds():
     assert all((one == other).all() for one, other in zip(vehicles.clouds, others.clouds, strict=True))
 
 
-def test_the_ground_truth_of_the_ego_alone_is_that_of_all_agents():
+def test_the_ground_truth_of_the_ego_alone_is_that_of_all_agents() -> None:
     frame = toy_frame(0)
     alone = make_sample(frame, 1002, GRID, cooperative=False)
     assert alone.agent_ids == (1002,) and len(alone.clouds) == len(alone.agent_boxes) == len(alone.ego_from_agent) == 1
     assert alone.boxes.object_id.tolist() == make_sample(frame, 1002, GRID).boxes.object_id.tolist()
 
 
-def test_only_whole_boxes_in_range_count_and_points_strictly_inside():
+def test_only_whole_boxes_in_range_count_and_points_strictly_inside() -> None:
     grid = GridSpec((-30.0, -10.0, -3.0, 22.0, 10.0, 3.0))
     sample = make_sample(toy_frame(0), None, grid)
     assert 1001 not in sample.boxes.object_id  # its far end reaches beyond x = 22
@@ -141,7 +141,7 @@ def test_only_whole_boxes_in_range_count_and_points_strictly_inside():
         assert (cloud[:, :3] > grid.range_m[:3]).all() and (cloud[:, :3] < grid.range_m[3:]).all()
 
 
-def test_our_own_sweeps_lose_points_on_the_true_body_only():
+def test_our_own_sweeps_lose_points_on_the_true_body_only() -> None:
     frame = toy_frame(0)
     agent, truth = frame.agents[0], frame.truth
     body = truth[truth.object_id == 1000].transform(invert(agent.sweep.world_from_lidar))
@@ -152,7 +152,7 @@ def test_our_own_sweeps_lose_points_on_the_true_body_only():
     assert make_sample(frame, None, GRID).clouds[0][:, :3].tolist() == tail[1:].tolist()
 
 
-def test_a_frame_without_agents_is_refused_and_one_without_points_is_not():
+def test_a_frame_without_agents_is_refused_and_one_without_points_is_not() -> None:
     frame = toy_frame(0)
     with pytest.raises(DataError, match="at least one agent"):
         make_sample(frame.of_agents([]), None, GRID)
@@ -160,7 +160,7 @@ def test_a_frame_without_agents_is_refused_and_one_without_points_is_not():
     assert [c.shape for c in make_sample(silent, None, GRID).clouds] == [(0, 4)] * 3
 
 
-def test_points_stay_where_the_world_has_them():
+def test_points_stay_where_the_world_has_them() -> None:
     frame = toy_frame(2)
     sample = make_sample(frame, None, GRID)
     world = transform_points(frame.agents[0].sweep.world_from_lidar, sample.clouds[1][:, :3].astype(np.float64))
@@ -169,7 +169,7 @@ def test_points_stay_where_the_world_has_them():
     assert nearest.max() < 1e-4
 
 
-def test_a_frame_that_lies_ahead_holds_the_same_scene():
+def test_a_frame_that_lies_ahead_holds_the_same_scene() -> None:
     frame, ahead_m = toy_frame(0), 12.0
     near, far = make_sample(frame, None, GRID), make_sample(frame, None, GRID, ahead_m=ahead_m)
     shift = np.array([ahead_m, 0.0, 0.0])

@@ -49,7 +49,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return generate(quick(), tmp_path_factory.mktemp("train"), FRAMES, seed=5, interval_s=0.2)
 
 
-def test_a_drive_is_named_by_scenario_and_seed_and_complete(drive: Path):
+def test_a_drive_is_named_by_scenario_and_seed_and_complete(drive: Path) -> None:
     reader = DriveReader(drive)
     assert drive.name == "four_way_5" and reader.frames == (0, 1, 2)
     assert len(reader.agents) == 3 and reader.agents[-1] == -1
@@ -59,12 +59,12 @@ def test_a_drive_is_named_by_scenario_and_seed_and_complete(drive: Path):
     assert all(f.points_on.any() for f in frames)
 
 
-def test_a_generated_frame_makes_a_sample(drive: Path):
+def test_a_generated_frame_makes_a_sample(drive: Path) -> None:
     sample = make_sample(DriveReader(drive).read(0), None, SampleRequest(GridSpec(), comm_range_m=200.0))
     assert len(sample.clouds) == 3 and all(len(c) for c in sample.clouds)
 
 
-def test_the_truth_explains_who_sees_what(drive: Path):
+def test_the_truth_explains_who_sees_what(drive: Path) -> None:
     """Lanes, lights, accelerations and visible fractions come back from the files of a drive."""
     frames = [DriveReader(drive).read(i) for i in range(FRAMES)]
     for frame in frames:
@@ -78,7 +78,7 @@ def test_the_truth_explains_who_sees_what(drive: Path):
     assert max(np.abs(frame.acceleration).max() for frame in frames) > 0.5
 
 
-def test_a_drive_says_whether_it_lists_connected_vehicles_and_measures_visibility(tmp_path: Path):
+def test_a_drive_says_whether_it_lists_connected_vehicles_and_measures_visibility(tmp_path: Path) -> None:
     drive = generate(quick(), tmp_path, 1, seed=5, connected_vehicles=False, visibility=False)
     reader = DriveReader(drive)
     assert reader.protocol["testbed"]["connected_vehicles"] is False
@@ -88,7 +88,7 @@ def test_a_drive_says_whether_it_lists_connected_vehicles_and_measures_visibilit
     assert len(listed) == 3 and not set().union(*listed) & set(reader.agents)
 
 
-def test_points_on_actors_lie_in_their_boxes(drive: Path):
+def test_points_on_actors_lie_in_their_boxes(drive: Path) -> None:
     frame = DriveReader(drive).read(1)
     for agent in frame.agents:
         on = agent.sweep.object_id >= 0
@@ -97,7 +97,7 @@ def test_points_on_actors_lie_in_their_boxes(drive: Path):
         assert inside.mean() > 0.99
 
 
-def test_a_killed_generate_resumes_to_the_same_bytes(drive: Path, tmp_path: Path):
+def test_a_killed_generate_resumes_to_the_same_bytes(drive: Path, tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from dsrc.data.write import generate;"
         "from tests.dsrc.data.test_simulate import quick;"
@@ -116,7 +116,7 @@ def test_a_killed_generate_resumes_to_the_same_bytes(drive: Path, tmp_path: Path
     assert tree(killed) == tree(drive)
 
 
-def test_a_generated_drive_has_the_paths_of_its_sensors(drive: Path):
+def test_a_generated_drive_has_the_paths_of_its_sensors(drive: Path) -> None:
     middle, raw = (DriveReader(drive, motion).read(1) for motion in ("middle", "raw"))
     fast = max(middle.agents, key=lambda agent: agent.speed)
     assert fast.speed > 3.0
@@ -128,7 +128,7 @@ def test_a_generated_drive_has_the_paths_of_its_sensors(drive: Path):
     np.testing.assert_allclose(raw.agents[-1].sweep.points, middle.agents[-1].sweep.points, atol=1e-6)
 
 
-def test_the_files_of_a_drive_give_the_frames_of_the_simulation_itself(drive: Path):
+def test_the_files_of_a_drive_give_the_frames_of_the_simulation_itself(drive: Path) -> None:
     """SUMO's own numbers, rounded as they are recorded, and the world of the file."""
     scenario, world = quick(), load_world(drive / "world.npz")
     with open_traffic(scenario, 5) as traffic:
@@ -136,7 +136,7 @@ def test_the_files_of_a_drive_give_the_frames_of_the_simulation_itself(drive: Pa
     assert same_frames(recording.frame(1), DriveReader(drive).read(1))
 
 
-def test_a_drive_is_made_again_from_its_log_and_its_world_alone(drive: Path, tmp_path: Path):
+def test_a_drive_is_made_again_from_its_log_and_its_world_alone(drive: Path, tmp_path: Path) -> None:
     """In a process that can import neither SUMO nor its maps."""
     code = (
         "import sys; sys.modules.update(dict.fromkeys(('libsumo', 'sumo', 'sumolib', 'traci')))\n"
@@ -150,20 +150,20 @@ def test_a_drive_is_made_again_from_its_log_and_its_world_alone(drive: Path, tmp
     assert tree(tmp_path / "again") == tree(drive)
 
 
-def test_a_log_has_its_scenario_without_defaults(drive: Path):
+def test_a_log_has_its_scenario_without_defaults(drive: Path) -> None:
     scenario, about = log_settings(drive / "traffic.npz")
     assert scenario == quick() and about == {"seed": 5, "frames": FRAMES, "interval_s": 0.2}
     told = TrafficLog.load(drive / "traffic.npz").about["scenario"]
     assert "conflict" not in told and "shipped" not in told["network"] and told["agents"]["lidar"] == "debug-16"
 
 
-def test_the_checksums_beside_a_drive_are_those_of_its_files(drive: Path):
+def test_the_checksums_beside_a_drive_are_those_of_its_files(drive: Path) -> None:
     done = subprocess.run(["sha256sum", "--check", "--strict", "SHA256SUMS"], cwd=drive, capture_output=True, text=True)
     assert done.returncode == 0 and len(done.stdout.splitlines()) == 3 * 3 * 2 + 3
     assert not list(faulty_files(drive))
 
 
-def test_another_seed_or_interval_never_mixes_into_a_drive(drive: Path):
+def test_another_seed_or_interval_never_mixes_into_a_drive(drive: Path) -> None:
     with pytest.raises(DataError, match=r"interval_s: expected 0.1 as asked for now, found 0.2"):
         generate(quick(), drive.parent, FRAMES, seed=5, interval_s=0.1)
     with pytest.raises(DataError, match=r"motion: expected 'end' as asked for now, found middle"):
@@ -173,7 +173,7 @@ def test_another_seed_or_interval_never_mixes_into_a_drive(drive: Path):
         generate(other, drive.parent, FRAMES, seed=5, interval_s=0.2)
 
 
-def test_settings_out_of_range_are_refused_before_anything_is_made(tmp_path: Path):
+def test_settings_out_of_range_are_refused_before_anything_is_made(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="frames: expected at least 1, found 0"):
         generate(quick(), tmp_path, 0)
     with pytest.raises(SettingsError, match="interval_s: expected a positive multiple"):

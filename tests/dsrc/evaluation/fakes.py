@@ -19,7 +19,7 @@ GRID = GridSpec(range_m=(-51.2, -25.6, -3, 51.2, 25.6, 3))
 class PointCounter:
     """Detects exactly the true boxes that hold enough points of the clouds that it is given."""
 
-    def __init__(self, need=3, offset=0.0, grid=GRID):
+    def __init__(self, need=3, offset=0.0, grid=GRID) -> None:
         self.settings = SampleRequest(grid)
         self.need, self.offset = need, offset
         self.seen = []

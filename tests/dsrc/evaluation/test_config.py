@@ -40,13 +40,13 @@ pose_error = [0.0, 0.2]
 """
 
 
-def written(tmp_path, text=GOOD):
+def written(tmp_path: Path, text=GOOD):
     path = tmp_path / "benchmark.toml"
     path.write_text(text)
     return path
 
 
-def test_a_file_has_the_names_of_the_options_or_those_of_before(tmp_path):
+def test_a_file_has_the_names_of_the_options_or_those_of_before(tmp_path: Path) -> None:
     plan = read_benchmark(written(tmp_path))
     text = GOOD
     for name, field in PLAN_NAMES.items():
@@ -57,7 +57,7 @@ def test_a_file_has_the_names_of_the_options_or_those_of_before(tmp_path):
         read_benchmark(written(tmp_path, 'corruption = ["fog"]\n' + GOOD))
 
 
-def test_rows_are_the_product_and_the_sweeps(tmp_path):
+def test_rows_are_the_product_and_the_sweeps(tmp_path: Path) -> None:
     cases = cases_of(read_benchmark(written(tmp_path)))
     assert len(set(cases)) == len(cases)
     # 3 detectors x (clean + 2 corruptions x 2 severities) x 2 channels; 2 detectors x (2 numbers of agents + 1 error).
@@ -72,7 +72,7 @@ def test_rows_are_the_product_and_the_sweeps(tmp_path):
     assert (spec.position_error_m, spec.heading_error_deg, spec.medium) == (0.2, 0.2, "perfect")
 
 
-def test_paths_are_taken_from_the_files_folder_first(tmp_path):
+def test_paths_are_taken_from_the_files_folder_first(tmp_path: Path) -> None:
     (tmp_path / "a.pt").write_bytes(b"")
     plan = read_benchmark(written(tmp_path))
     assert plan.methods[0].detectors == (str(tmp_path / "a.pt"), "b.pt")
@@ -90,7 +90,7 @@ text = "Old."
 [sweeps]"""
 
 
-def test_who_is_corrupted_is_part_of_every_condition(tmp_path):
+def test_who_is_corrupted_is_part_of_every_condition(tmp_path: Path) -> None:
     text = GOOD.replace('name = "small"', 'name = "small"\nwho = "helpers"')
     plan = read_benchmark(written(tmp_path, text))
     assert {case.condition.agents for case in cases_of(plan) if case.condition.kind != "clean"} == {"helpers"}
@@ -105,7 +105,7 @@ def test_who_is_corrupted_is_part_of_every_condition(tmp_path):
             read_benchmark(written(tmp_path, wrong))
 
 
-def test_both_families_are_run_and_clean_frames_once(tmp_path):
+def test_both_families_are_run_and_clean_frames_once(tmp_path: Path) -> None:
     text = GOOD.replace('name = "small"', 'name = "small"\nfamilies = ["physical", "paper"]')
     plan = read_benchmark(written(tmp_path, text))
     conditions = {case.condition for case in cases_of(plan) if case.method == "Late"}
@@ -125,7 +125,7 @@ def test_both_families_are_run_and_clean_frames_once(tmp_path):
         plan_of(BenchmarkOptions(plan=written(tmp_path), family="paper"))
 
 
-def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path):
+def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path: Path) -> None:
     plan = read_benchmark(written(tmp_path, GOOD.replace("[sweeps]", PAIR)))
     assert (plan.differences[0].method, plan.differences[0].baseline) == ("DSRC", "Late")
     (tmp_path / "a.pt").write_bytes(b"")
@@ -169,7 +169,7 @@ def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path):
         ('"snow"]', '"snwo"]', ["toml: corruptions: expected a corruption"]),
     ],
 )
-def test_a_mistake_is_one_line_with_its_place(tmp_path, old, new, words):
+def test_a_mistake_is_one_line_with_its_place(tmp_path: Path, old: str, new, words: list[str]) -> None:
     assert old in GOOD
     path = written(tmp_path, GOOD.replace(old, new))
     with pytest.raises(SettingsError) as caught:
@@ -179,12 +179,12 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path, old, new, words):
     assert all(word in text for word in words), text
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"none\.toml: file not found; expected a TOML file$"):
         read_benchmark(tmp_path / "none.toml")
 
 
-def test_flags_say_the_same_as_a_file(tmp_path):
+def test_flags_say_the_same_as_a_file(tmp_path: Path) -> None:
     plan = plan_of(
         BenchmarkOptions(
             checkpoints=("DSRC=a.pt", "DSRC=b.pt", "Late=c.pt"),
@@ -204,7 +204,7 @@ def test_flags_say_the_same_as_a_file(tmp_path):
     assert (unnamed.methods[0].name, unnamed.datasets[0].name) == ("c", "test")
 
 
-def test_only_files_that_were_given_one_name_are_trainings_of_one_method():
+def test_only_files_that_were_given_one_name_are_trainings_of_one_method() -> None:
     def plan(checkpoints: tuple[str, ...], data: tuple[str, ...] = ("test",)) -> Benchmark:
         return plan_of(BenchmarkOptions(checkpoints=checkpoints, data=data))
 
@@ -221,7 +221,7 @@ def test_only_files_that_were_given_one_name_are_trainings_of_one_method():
             plan(pair)
 
 
-def test_a_folder_with_an_equals_sign_is_no_name():
+def test_a_folder_with_an_equals_sign_is_no_name() -> None:
     checkpoints = ("runs/lr=0.1/c.pt", "slow=runs/lr=0.01/c.pt")
     plan = plan_of(BenchmarkOptions(checkpoints=checkpoints, data=("data/n=3/test",)))
     assert [(m.name, m.detectors[0]) for m in plan.methods] == [
@@ -243,14 +243,14 @@ def test_a_folder_with_an_equals_sign_is_no_name():
         ({"checkpoints": ("a.pt",), "data": ("data",), "agents": (0,)}, "agents"),
     ],
 )
-def test_a_file_or_options_describe_a_benchmark_never_both(tmp_path, options, message):
+def test_a_file_or_options_describe_a_benchmark_never_both(tmp_path: Path, options, message: str) -> None:
     if "plan" in options:
         options = {**options, "plan": written(tmp_path) if options["plan"] == "file" else tmp_path / options["plan"]}
     with pytest.raises(SettingsError, match=message):
         plan_of(BenchmarkOptions(**options))
 
 
-def test_missing_detectors_can_be_left_out(tmp_path):
+def test_missing_detectors_can_be_left_out(tmp_path: Path) -> None:
     (tmp_path / "b.pt").write_bytes(b"")
     plan = read_benchmark(written(tmp_path, GOOD))
     part, absent = available(plan)
@@ -266,7 +266,7 @@ def test_missing_detectors_can_be_left_out(tmp_path):
         available(read_benchmark(written(tmp_path)))
 
 
-def test_the_projects_own_benchmark_has_all_that_the_papers_tables_need():
+def test_the_projects_own_benchmark_has_all_that_the_papers_tables_need() -> None:
     plan = read_benchmark(SHIPPED)
     runs = {Path(path).parts[1].rpartition("_s")[0] for method in plan.methods for path in method.detectors}
     assert set(METHODS) <= runs

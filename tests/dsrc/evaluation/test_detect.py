@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,17 +24,17 @@ registered = CORRUPTIONS
 
 
 @pytest.fixture(autouse=True)
-def _corruptions(monkeypatch):
+def _corruptions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sensors.corruptions.condition.CORRUPTIONS", KINDS)
     monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", halve)
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory):
+def drives(tmp_path_factory: pytest.TempPathFactory):
     return write_drives(tmp_path_factory.mktemp("drives"))
 
 
-def test_methods_and_conditions_have_a_row_each_and_two_summaries(drives):
+def test_methods_and_conditions_have_a_row_each_and_two_summaries(drives) -> None:
     rows = detect_all([Method("a", PointCounter()), Method("b", PointCounter(9))], drives, ("all",))
     labels = [(row.condition, row.method) for row in rows]
     assert labels == [
@@ -45,7 +46,7 @@ def test_methods_and_conditions_have_a_row_each_and_two_summaries(drives):
     assert all(row.seconds_per_frame > 0 for row in rows[:6])
 
 
-def test_truth_stays_that_of_the_clean_frame(drives):
+def test_truth_stays_that_of_the_clean_frame(drives) -> None:
     rows = detect_all([Method("a", PointCounter(need=20))], drives, ("fog",), severity=5)
     clean, fog = find_row(rows, "a", "clean"), find_row(rows, "a", "fog")
     assert clean.truth == fog.truth > 0
@@ -57,7 +58,7 @@ def test_truth_stays_that_of_the_clean_frame(drives):
     assert mean.metrics["ap_bev_50"] == pytest.approx((ap + low) / 2)
 
 
-def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives):
+def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives) -> None:
     together, alone = PointCounter(need=90), PointCounter(need=90)
     rows = detect_all([Method("all", together), Method("ego", alone, agents=1)], drives, ("clean",))
     assert {len(s.clouds) for s in together.seen} == {3}
@@ -67,7 +68,7 @@ def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives):
     assert len(rows) == 2
 
 
-def test_judged_by_opencood_a_method_has_the_truth_that_opencood_has(tmp_path):
+def test_judged_by_opencood_a_method_has_the_truth_that_opencood_has(tmp_path: Path) -> None:
     mini, expected = goldens.unpack_opv2v_mini(tmp_path), goldens.load("opv2v_mini_expected")
     theirs, inside = PointCounter(need=0), PointCounter(need=0)
     theirs.settings = SampleRequest(GRID, team_by="folders", keep_ego_box=True, truth_range_m=OPENCOOD_RANGE_M)
@@ -78,7 +79,7 @@ def test_judged_by_opencood_a_method_has_the_truth_that_opencood_has(tmp_path):
     assert rows[0].metrics["ap_opencood_bev_70"] == 1.0
 
 
-def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_beside_it(drives):
+def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_beside_it(drives) -> None:
     def found(*settings):
         methods = [Method(str(k), PointCounter(need=0)) for k in range(len(settings))]
         for method, more in zip(methods, settings, strict=True):
@@ -92,7 +93,9 @@ def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_besid
     assert found(*cases) == alone and found(*reversed(cases)) == alone[::-1]
 
 
-def test_a_helper_whose_pose_is_wrong_stays_in_range_and_what_it_sees_in_the_truth(drives, monkeypatch):
+def test_a_helper_whose_pose_is_wrong_stays_in_range_and_what_it_sees_in_the_truth(
+    drives, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def moved(frame, kind, severity, seed, family="physical", **_):
         """Report the third agent, the roadside unit 21 m away, to be 10 m further off."""
         sweep = frame.agents[2].sweep
@@ -111,7 +114,7 @@ def test_a_helper_whose_pose_is_wrong_stays_in_range_and_what_it_sees_in_the_tru
         assert np.abs(one.ego_from_agent[1] - other.ego_from_agent[1]).max() > 5.0
 
 
-def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives):
+def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives) -> None:
     frame = toy_frame(0)
     whole = make_sample(frame, None, GRID)
     alone, first = make_sample(frame, None, GRID, cooperative=False), first_agents(whole, 1)
@@ -125,7 +128,7 @@ def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives):
     assert len({row.truth for row in rows}) == 1
 
 
-def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
+def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
     def count(frame, kind, severity, seed, family, **_):
@@ -142,31 +145,33 @@ def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch):
 
 
 @pytest.mark.parametrize(("who", "parsed"), [("all", "all"), ("ego", "ego"), ("1002,-1", (1002, -1))])
-def test_a_condition_says_whose_sweeps_are_corrupted(monkeypatch, who, parsed):
+def test_a_condition_says_whose_sweeps_are_corrupted(
+    monkeypatch: pytest.MonkeyPatch, who: str, parsed: str | tuple[int, int]
+) -> None:
     seen = []
     monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", lambda *given, who, **_: seen.append(who))
     corrupted(toy_frame(0), Condition.of("fog", 5, agents=who), seed=3)
     assert seen == [parsed]
 
 
-def test_two_runs_give_the_same_rows(drives):
+def test_two_runs_give_the_same_rows(drives) -> None:
     first, second = (detect_all([Method("a", PointCounter())], drives, ("all",), seed=1) for _ in range(2))
     assert first == second
 
 
-def test_a_limit_spreads_the_frames_evenly(drives):
+def test_a_limit_spreads_the_frames_evenly(drives) -> None:
     detector = PointCounter()
     detect_all([Method("a", detector)], drives, ("clean",), limit=3)
     assert [s.key for s in detector.seen] == ["drive_0/1000/000000", "drive_0/1000/000002", "drive_1/1000/000002"]
 
 
-def test_every_frame_is_counted_under_every_condition(drives):
+def test_every_frame_is_counted_under_every_condition(drives) -> None:
     told = []
     detect_all([Method("a", PointCounter())], drives, ("all",), limit=2, count_frame=lambda: told.append(1))
     assert len(told) == 2 * 3
 
 
-def test_detections_beyond_the_range_are_not_judged(drives):
+def test_detections_beyond_the_range_are_not_judged(drives) -> None:
     class Beyond(PointCounter):
         def detect(self, sample):
             inside = super().detect(sample)
@@ -178,19 +183,19 @@ def test_detections_beyond_the_range_are_not_judged(drives):
     assert rows[0].metrics == rows[1].metrics
 
 
-def test_a_blind_detector_gets_zeros_and_no_mce(drives):
+def test_a_blind_detector_gets_zeros_and_no_mce(drives) -> None:
     rows = detect_all([Method("a", PointCounter(need=10**6))], drives, ("fog",))
     assert find_row(rows, "a", "clean").metrics["ap_bev_50"] == 0.0
     assert math.isnan(find_row(rows, "a", "mce").metrics["ap_bev_50"])
 
 
-def test_kinds_come_in_the_order_of_the_registry():
+def test_kinds_come_in_the_order_of_the_registry() -> None:
     assert corruption_kinds(("snow", "fog")) == ("fog", "snow")
     assert corruption_kinds(("all", "fog")) == ("fog", "snow")
     assert corruption_kinds(("clean",)) == ()
 
 
-def test_the_papers_six_are_six_and_all_are_all(monkeypatch):
+def test_the_papers_six_are_six_and_all_are_all(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sensors.corruptions.condition.CORRUPTIONS", registered)
     assert corruption_kinds(("paper_six",)) == PAPER_SIX
     assert corruption_kinds(("all",)) == tuple(registered)
@@ -199,12 +204,12 @@ def test_the_papers_six_are_six_and_all_are_all(monkeypatch):
         corruption_kinds(("pose_error",), "paper")
 
 
-def test_without_a_frame_there_is_nothing_to_evaluate():
+def test_without_a_frame_there_is_nothing_to_evaluate() -> None:
     with pytest.raises(DataError, match="at least one frame"):
         frame_positions([], None)
 
 
-def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives):
+def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives) -> None:
     detector = PointCounter()
     methods = [Method("direct", detector)] + [Method(n, detector, channel=PRESETS[n]) for n in ("ideal", "paper")]
     rows = {row.method: row for row in detect_all(methods, drives, ("clean",))}
@@ -216,12 +221,12 @@ def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives):
     assert rows["paper"].bytes_per_frame == 2 * 132_500
 
 
-def test_frames_before_the_first_of_a_limit_are_heard_too(drives):
+def test_frames_before_the_first_of_a_limit_are_heard_too(drives) -> None:
     row = detect_all([Method("paper", PointCounter(), channel=PRESETS["paper"])], drives[:1], ("clean",), limit=2)[0]
     assert row.heard == 0.5  # the first frame of the drive and the last
 
 
-def test_a_channel_over_frames_far_apart_is_warned_of(tmp_path, caplog):
+def test_a_channel_over_frames_far_apart_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for index in range(2):
         frame = toy_frame(index)
         write_frame(tmp_path / "slow", replace(frame, time_s=10.0 * index))

@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -19,7 +20,7 @@ FILES = {
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory) -> Path:
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("evaluate")
     write_drives(root / "test", drives=1)
     for name, method in (("small", "dsrc"), ("plain", "attfuse")):
@@ -37,12 +38,12 @@ def files_in(folder: Path) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def done(world):
+def done(world: Path):
     config = config_of(world, "out", corruptions=("fog", "beam_missing"), seed=4)
     return config, evaluate_drives(config)
 
 
-def test_an_evaluation_writes_tables_plots_and_what_made_them(done):
+def test_an_evaluation_writes_tables_plots_and_what_made_them(done) -> None:
     config, rows = done
     methods, conditions = ["DSRC", "plain", "DSRC, ego alone"], ["clean", "beam_missing", "fog"]
     assert [(r.condition, r.method) for r in rows[:9]] == [(kind, name) for kind in conditions for name in methods]
@@ -77,13 +78,13 @@ def test_an_evaluation_writes_tables_plots_and_what_made_them(done):
         assert json.loads(image.text["Description"]) == made_by
 
 
-def test_the_ego_alone_sees_less_of_the_same_truth(done):
+def test_the_ego_alone_sees_less_of_the_same_truth(done) -> None:
     _, rows = done
     together, alone = find_row(rows, "DSRC", "clean"), find_row(rows, "DSRC, ego alone", "clean")
     assert together.truth == alone.truth > 0 and together.metrics != alone.metrics
 
 
-def test_two_evaluations_write_the_same_bytes_and_the_second_computes_nothing(done, world):
+def test_two_evaluations_write_the_same_bytes_and_the_second_computes_nothing(done, world: Path) -> None:
     config, rows = done
     before = {path: path.stat().st_mtime_ns for path in (config.out / "cells").iterdir()}
     results = {name: (config.out / name).read_bytes() for name in FILES - {"timings.csv"}}
@@ -92,7 +93,7 @@ def test_two_evaluations_write_the_same_bytes_and_the_second_computes_nothing(do
     assert {name: (config.out / name).read_bytes() for name in results} == results
 
 
-def test_clean_only_and_cooperative_only(world):
+def test_clean_only_and_cooperative_only(world: Path) -> None:
     evaluate_drives(config_of(world, "clean", corruptions=("clean",), ego_alone=False))
     rows = json.loads((world / "clean" / "results.json").read_text())["rows"]
     assert [(row["method"], row["condition"]) for row in rows] == [("DSRC", "clean"), ("plain", "clean")]
@@ -101,7 +102,7 @@ def test_clean_only_and_cooperative_only(world):
     assert not (world / "clean" / "mce_map.png").exists()
 
 
-def test_results_that_are_replaced_are_named(world, caplog):
+def test_results_that_are_replaced_are_named(world: Path, caplog: pytest.LogCaptureFixture) -> None:
     clean = {"corruptions": ("clean",), "ego_alone": False}
     evaluate_drives(config_of(world, "again", **clean))
     evaluate_drives(config_of(world, "again", **clean, limit=1))  # the same methods: the former results anew
@@ -110,7 +111,7 @@ def test_results_that_are_replaced_are_named(world, caplog):
     assert "again/results.csv: replaces the results of DSRC on test" in caplog.text
 
 
-def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world):
+def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world: Path) -> None:
     config = config_of(world, "channels", corruptions=("clean",), channels=("ideal", "its-g5-6"))
     rows = evaluate_drives(config)
     through = [f"{name}, {channel}" for channel in config.channels for name in ("DSRC", "plain")]
@@ -119,7 +120,7 @@ def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world):
     assert rows[0].heard == 1.0
 
 
-def test_checkpoints_are_named_by_their_file_or_by_hand(world):
+def test_checkpoints_are_named_by_their_file_or_by_hand(world: Path) -> None:
     def names(*texts: str) -> dict[str, str]:
         plan = plan_of_evaluation(config_of(world, "out", checkpoints=texts, ego_alone=False))
         return {method.name: method.detectors[0] for method in plan.methods}
@@ -144,7 +145,7 @@ def test_checkpoints_are_named_by_their_file_or_by_hand(world):
         ({"engine": "fussed"}, "did you mean 'fused'"),
     ],
 )
-def test_a_wrong_setting_is_named(world, settings, message):
+def test_a_wrong_setting_is_named(world: Path, settings: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         evaluate_drives(config_of(world, "wrong", **settings))
     assert not (world / "wrong" / "cells").exists()

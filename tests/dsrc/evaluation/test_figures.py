@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -33,7 +34,7 @@ def some_sheet(labels=("dsrc", "plain", "ego alone"), columns=("clean", "fog", "
     return Table("x", "A title", "Method", tuple(map(ap_column, columns)), lines)
 
 
-def test_a_bar_per_method_condition_and_iou():
+def test_a_bar_per_method_condition_and_iou() -> None:
     for axes, heights in zip(corruption_bars(some_rows()).axes, ([90, 80, 70], [70, 60, 50]), strict=True):
         assert len(axes.patches) == 3 * 3
         first = [p.get_height() for p in axes.patches if to_hex(p.get_facecolor()) == COLORS[0].lower()]
@@ -42,7 +43,7 @@ def test_a_bar_per_method_condition_and_iou():
         assert len(axes.texts) == 3 * 3 and {f"{height:.1f}" for height in heights} < {t.get_text() for t in axes.texts}
 
 
-def test_a_method_has_one_style_in_all_figures():
+def test_a_method_has_one_style_in_all_figures() -> None:
     methods = [f"method {i}" for i in range(22)]
     styles = styles_of(methods)
     assert len(set(styles.values())) == 22
@@ -65,7 +66,7 @@ def test_a_method_has_one_style_in_all_figures():
             assert (line.get_color(), line.get_marker(), line.get_linestyle()) == style[:3]
 
 
-def test_a_map_holds_every_number_with_the_best_in_bold():
+def test_a_map_holds_every_number_with_the_best_in_bold() -> None:
     first, second = table_heatmap(some_sheet()).axes[:2]
     assert [t.get_text() for t in first.texts] == "90.0 85.0 80.0 80.0 75.0 70.0 70.0 65.0 60.0".split()
     assert [t.get_text() for t in first.texts if t.get_fontweight() == "bold"] == ["90.0", "80.0", "70.0"]
@@ -78,7 +79,7 @@ def test_a_map_holds_every_number_with_the_best_in_bold():
     assert len(many.texts) == 30
 
 
-def test_the_best_of_a_column_where_less_is_better_is_its_lowest_number_without_a_colour():
+def test_the_best_of_a_column_where_less_is_better_is_its_lowest_number_without_a_colour() -> None:
     columns = (ap_column("clean"), ap_column("mCE", better="low"), ap_column("mAP"))
     lines = [TableRow(name, ((Stat(ap),) * 2, (Stat(lost),) * 2, (Stat(ap),) * 2)) for name, ap, lost in CLEAN_AND_LOST]
     axes = table_heatmap(Table("x", "", "Method", columns, tuple(lines))).axes[0]
@@ -91,7 +92,7 @@ def test_the_best_of_a_column_where_less_is_better_is_its_lowest_number_without_
 CLEAN_AND_LOST = (("a", 0.9, 0.3), ("b", 0.8, 0.2), ("c", 0.7, 0.4))
 
 
-def test_names_at_the_ends_of_lines_keep_their_distance_and_their_order():
+def test_names_at_the_ends_of_lines_keep_their_distance_and_their_order() -> None:
     assert apart([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
     np.testing.assert_allclose(apart([0.5, 0.5, 0.52, 0.9], 0.1), [0.4067, 0.5067, 0.6067, 0.9], atol=1e-3)
     np.testing.assert_allclose(apart([0.99, 1.0], 0.1), [0.9, 1.0])
@@ -102,13 +103,13 @@ def test_names_at_the_ends_of_lines_keep_their_distance_and_their_order():
         assert {t.get_text() for t in axes.texts} == {"dsrc", "plain", "ego alone"}
 
 
-def test_a_point_per_method_and_iou():
+def test_a_point_per_method_and_iou() -> None:
     lines = robustness_scatter(some_rows()).axes[0].lines
     assert len(lines) == 3
     np.testing.assert_allclose(lines[0].get_xydata(), [[100 * 0.15 / 0.9, 80.0]])
 
 
-def test_curves_are_drawn_where_they_are_known():
+def test_curves_are_drawn_where_they_are_known() -> None:
     truth = Boxes.from_array([[0, 0, 0, 4, 2, 1.5, 0], [9, 0, 0, 4, 2, 1.5, 0]])
     result = evaluate([FrameResult(Detections(truth, np.array([0.9, 0.8], np.float32)), truth)])
     panels = precision_recall_curves([make_row("dsrc", "clean", 0, result), *some_rows(("plain",))]).axes
@@ -117,7 +118,7 @@ def test_curves_are_drawn_where_they_are_known():
 
 @pytest.mark.parametrize("figure", [corruption_bars, robustness_scatter, precision_recall_curves])
 @pytest.mark.parametrize("rows", [[], some_rows(("one",)), some_rows(tuple("abcdefghij"))])
-def test_every_figure_can_be_saved_and_leaves_no_trace(figure, rows, tmp_path):
+def test_every_figure_can_be_saved_and_leaves_no_trace(figure, rows, tmp_path: Path) -> None:
     before = dict(mpl.rcParams)
     path = tmp_path / "figure.png"
     path.write_bytes(png_bytes(figure(rows), {"seed": 5}, dpi=40))
@@ -127,12 +128,12 @@ def test_every_figure_can_be_saved_and_leaves_no_trace(figure, rows, tmp_path):
         assert np.ptp(np.asarray(image.convert("L"))) > 100
 
 
-def test_the_same_rows_give_the_same_bytes():
+def test_the_same_rows_give_the_same_bytes() -> None:
     first, second = (png_bytes(corruption_bars(some_rows()), dpi=40) for _ in range(2))
     assert first == second
 
 
-def test_a_training_is_drawn_with_gaps_where_it_was_not_validated():
+def test_a_training_is_drawn_with_gaps_where_it_was_not_validated() -> None:
     rows = [
         {"epoch": "0", "lr": "1e-4", "train/cls": "2.0", "train/loss": "2.5", "train/reg": "0.5"},
         {
@@ -161,7 +162,7 @@ def test_a_training_is_drawn_with_gaps_where_it_was_not_validated():
     assert figure.get_suptitle() == "a run"
 
 
-def test_curves_are_drawn_where_their_values_are_and_one_training_has_no_spread():
+def test_curves_are_drawn_where_their_values_are_and_one_training_has_no_spread() -> None:
     lines = (
         TableRow("one", tuple((Stat(0.5), Stat(0.4)) for _ in range(3))),
         TableRow("three", tuple((Stat(0.6, 0.1), Stat(0.3, 0.1)) for _ in range(3))),

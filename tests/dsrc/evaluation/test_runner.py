@@ -61,7 +61,9 @@ def files(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in names}
 
 
-def test_a_row_of_a_benchmark_says_what_an_evaluation_says(done, plan, root):
+def test_a_row_of_a_benchmark_says_what_an_evaluation_says(
+    done: tuple[Path, BenchmarkResult], plan, root: Path
+) -> None:
     _, result = done
     detector = load_student(root / "dsrc_1.pt")
     direct = detect_all(
@@ -75,11 +77,13 @@ def test_a_row_of_a_benchmark_says_what_an_evaluation_says(done, plan, root):
     assert any(row.metrics["ap_bev_30"] > 0 for row in direct)
 
 
-def test_an_interrupted_run_resumes_to_the_same_bytes(done, plan, root, monkeypatch):
+def test_an_interrupted_run_resumes_to_the_same_bytes(
+    done: tuple[Path, BenchmarkResult], plan, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out, written = root / "killed", []
     whole, write = files(done[0]), cells.write_cell
 
-    def dies(folder, settings, result):
+    def dies(folder, settings, result) -> None:
         if len(written) % 5 == 4:
             written.append("died")
             raise KeyboardInterrupt
@@ -100,7 +104,7 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(done, plan, root, monkeypa
     assert files(out) == whole
 
 
-def test_finished_cells_are_not_computed_again(done, plan):
+def test_finished_cells_are_not_computed_again(done: tuple[Path, BenchmarkResult], plan) -> None:
     out, result = done
     before = {path: path.stat().st_mtime_ns for path in out.glob("cells/*")}
     assert result.made == len(before) / 2 > 0
@@ -110,7 +114,9 @@ def test_finished_cells_are_not_computed_again(done, plan):
     assert again.entries == result.entries
 
 
-def test_a_method_that_is_added_costs_its_own_cells_alone(done, plan, root, monkeypatch):
+def test_a_method_that_is_added_costs_its_own_cells_alone(
+    done: tuple[Path, BenchmarkResult], plan, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out, result = shutil.copytree(done[0], root / "more"), done[1]
     more = make_plan(root, {**TWO, "late": [("late", 0)]}, corruptions=plan.corruptions, sweeps=plan.sweeps)
     made, write = [], cells.write_cell
@@ -126,7 +132,9 @@ def test_a_method_that_is_added_costs_its_own_cells_alone(done, plan, root, monk
     assert run_plan(renamed, out).made == 0
 
 
-def test_cells_of_earlier_code_are_taken_when_asked_for(done, plan, root, monkeypatch):
+def test_cells_of_earlier_code_are_taken_when_asked_for(
+    done: tuple[Path, BenchmarkResult], plan, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(runner, "code_hash", lambda entry: "0" * 64)
     result = run_plan(plan, root / "reused", reuse=[done[0]])
     assert result.made == 0 and [entry.row for entry in result.entries] == [entry.row for entry in done[1].entries]
@@ -136,13 +144,15 @@ def test_cells_of_earlier_code_are_taken_when_asked_for(done, plan, root, monkey
     assert run_plan(replace(plan, seed=1), root / "other", reuse=[done[0]]).made > 0
 
 
-def test_two_processes_find_what_one_does(done, plan, root):
+def test_two_processes_find_what_one_does(done: tuple[Path, BenchmarkResult], plan, root: Path) -> None:
     result = run_plan(plan, root / "two", Pool(workers=2))
     write_report(result, root / "two")
     assert files(root / "two") == files(done[0])
 
 
-def test_units_of_few_frames_give_the_same_rows(done, plan, root, monkeypatch):
+def test_units_of_few_frames_give_the_same_rows(
+    done: tuple[Path, BenchmarkResult], plan, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(runner, "CHUNK", 1)
     result = run_plan(plan, root / "chunks")
     rows = [entry.row for entry in result.entries]
@@ -150,7 +160,7 @@ def test_units_of_few_frames_give_the_same_rows(done, plan, root, monkeypatch):
     assert len(result.entries[0].cells) == 4
 
 
-def test_the_ego_alone_is_the_same_through_every_channel(done):
+def test_the_ego_alone_is_the_same_through_every_channel(done: tuple[Path, BenchmarkResult]) -> None:
     _, result = done
     alone = [e for e in result.entries if e.case.method == "alone" and e.case.condition.kind == "clean"]
     assert len(alone) > 3 and len({entry.cells for entry in alone}) == 1
@@ -161,7 +171,7 @@ def test_the_ego_alone_is_the_same_through_every_channel(done):
     assert two.bytes_per_frame > 0.0 and two.truth == one.truth
 
 
-def test_a_sweep_changes_what_arrives(done):
+def test_a_sweep_changes_what_arrives(done: tuple[Path, BenchmarkResult]) -> None:
     _, result = done
     rows = {
         (e.case.pose_error, e.case.delay_s, e.case.loss): e.row
@@ -217,17 +227,17 @@ SETTINGS = CellSettings(
         {"code": "fe"},
     ],
 )
-def test_every_setting_has_cells_of_its_own(change):
+def test_every_setting_has_cells_of_its_own(change) -> None:
     assert replace(SETTINGS, **change).key != SETTINGS.key
     assert {field for field in SETTINGS.__struct_fields__} >= set(change)
 
 
-def test_a_cell_names_who_is_corrupted_only_where_it_is_not_everyone():
+def test_a_cell_names_who_is_corrupted_only_where_it_is_not_everyone() -> None:
     assert "who" not in Condition("fog", 3, agents="all").decisive()
     assert Condition("fog", 3, agents="helpers").decisive()["who"] == "helpers"
 
 
-def test_a_channel_is_what_it_does_and_not_its_name(tmp_path):
+def test_a_channel_is_what_it_does_and_not_its_name(tmp_path: Path) -> None:
     assert channel_settings(replace(PRESETS["ideal"], name="other")) == channel_settings(PRESETS["ideal"])
     trace = tmp_path / "trace.csv"
     trace.write_text("time_s,delay_s,loss\n0,0.1,0\n")
@@ -236,7 +246,7 @@ def test_a_channel_is_what_it_does_and_not_its_name(tmp_path):
     assert channel_settings(replace(PRESETS["trace"], trace=str(trace))) != one
 
 
-def test_a_damaged_cell_is_named(done, root):
+def test_a_damaged_cell_is_named(done: tuple[Path, BenchmarkResult], root: Path) -> None:
     path = next((done[0] / "cells").glob("*.npz"))
     copy = root / path.name
     copy.write_bytes(path.read_bytes()[:-30])
@@ -244,7 +254,9 @@ def test_a_damaged_cell_is_named(done, root):
         read_cell(root, path.stem)
 
 
-def test_damaged_cells_are_computed_again_to_the_same_bytes(done, plan, root):
+def test_damaged_cells_are_computed_again_to_the_same_bytes(
+    done: tuple[Path, BenchmarkResult], plan, root: Path
+) -> None:
     out = shutil.copytree(done[0], root / "damaged")
     short, wrong, empty, times = sorted((out / "cells").glob("*.npz"))[:4]
     before = {path: path.read_bytes() for path in (short, wrong, empty, times)}
@@ -258,7 +270,7 @@ def test_damaged_cells_are_computed_again_to_the_same_bytes(done, plan, root):
     assert {path: path.read_bytes() for path in before} == before
 
 
-def test_a_cell_reads_back(done):
+def test_a_cell_reads_back(done: tuple[Path, BenchmarkResult]) -> None:
     key = done[1].entries[0].cells[0]
     result = read_cell(done[0] / "cells", key)
     assert result.matches.frames == len(result.seconds) == 2
@@ -267,7 +279,7 @@ def test_a_cell_reads_back(done):
     assert np.all(np.isfinite(result.matches.score))
 
 
-def test_mistakes_are_reported_before_the_work(plan, root):
+def test_mistakes_are_reported_before_the_work(plan, root: Path) -> None:
     missing = replace(plan, methods=(replace(plan.methods[0], detectors=(str(root / "none.pt"),)),))
     with pytest.raises(CheckpointError, match=r"none\.pt"):
         run_plan(missing, root / "wrong")
@@ -289,7 +301,7 @@ def test_mistakes_are_reported_before_the_work(plan, root):
     assert not (root / "wrong" / "cells").exists()
 
 
-def test_a_method_may_use_the_same_detectors_otherwise(done, plan, root):
+def test_a_method_may_use_the_same_detectors_otherwise(done: tuple[Path, BenchmarkResult], plan, root: Path) -> None:
     out = shutil.copytree(done[0], root / "otherwise")
     picky = replace(plan.methods[0], name="picky", use={"score_threshold": 0.6})
     both = replace(plan, methods=(plan.methods[0], picky), corruptions=("clean",), sweeps=ParameterSweeps())

@@ -26,7 +26,7 @@ from tests.dsrc.evaluation.small import write_detector, write_drives
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory) -> tuple[Path, list]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
     root = tmp_path_factory.mktemp("stored")
     write_drives(root / "test", drives=2)
     config = Evaluation(
@@ -38,7 +38,7 @@ def done(tmp_path_factory) -> tuple[Path, list]:
     return config.out, evaluate_drives(config)
 
 
-def test_stored_detections_score_what_the_evaluation_says(done):
+def test_stored_detections_score_what_the_evaluation_says(done: tuple[Path, list]) -> None:
     out, rows = done
     index = read_index(out)
     assert [drive.name for drive in index.drives] == ["drive_0", "drive_1"]
@@ -54,7 +54,7 @@ def test_stored_detections_score_what_the_evaluation_says(done):
     assert any(len(read_run(out, run.cells[0]).score) for run in index.runs)
 
 
-def test_a_table_names_frames_ego_and_points_of_the_drive(done):
+def test_a_table_names_frames_ego_and_points_of_the_drive(done: tuple[Path, list]) -> None:
     out, _ = done
     index = read_index(out)
     drive = open_drive(Path(index.drives[1].path))
@@ -74,7 +74,7 @@ def test_a_table_names_frames_ego_and_points_of_the_drive(done):
     assert (fog.points[:, 2:] <= fog.points[:, :2]).all() and (fog.points[:, 3] < fog.points[:, 1]).any()
 
 
-def test_an_index_that_is_missing_or_wrong_is_one_line(done, tmp_path):
+def test_an_index_that_is_missing_or_wrong_is_one_line(done: tuple[Path, list], tmp_path: Path) -> None:
     out, _ = done
     with pytest.raises(DataError, match="nowhere: results: expected a folder, found no such folder"):
         read_index(tmp_path / "nowhere")
@@ -103,7 +103,7 @@ def _table(n=3, d=4):
     return one_frame(5, 50, 1000, detections, Boxes.from_array(boxes[:n], object_id=np.arange(n)))
 
 
-def test_columns_come_back_as_they_were():
+def test_columns_come_back_as_they_were() -> None:
     table = join_tables([_table(), _table(0, 0), _table(2, 9)])
     again = read_table(Path("a.npz"), table.arrays())
     for name, column in table.arrays().items():
@@ -127,21 +127,21 @@ def test_columns_come_back_as_they_were():
         ("ego_id", lambda c: None, "an array of int64, found none"),
     ],
 )
-def test_a_wrong_column_is_named_with_its_file(name, change, message):
+def test_a_wrong_column_is_named_with_its_file(name: str, change, message: str) -> None:
     arrays = {**_table().arrays()}
     arrays[name] = change(arrays[name])
     with pytest.raises(DataError, match=rf"a\.npz: {name}: expected {message}"):
         read_table(Path("a.npz"), {key: c for key, c in arrays.items() if c is not None})
 
 
-def test_a_network_whose_sizes_underflow_is_stored_and_finds_nothing():
+def test_a_network_whose_sizes_underflow_is_stored_and_finds_nothing() -> None:
     flat = Boxes.from_array([[0.0, 0, 0, 0, 0, 0, 0]])
     table = one_frame(0, 0, 1, Detections(flat, np.ones(1, np.float32)), Boxes.from_array([[0.0, 0, 0, 4, 2, 2, 0]]))
     read_table(Path("a.npz"), table.arrays())
     assert evaluate(table.results()).metrics()["ap_bev_30"] == 0.0
 
 
-def test_points_that_are_left_are_those_of_the_corrupted_sweeps(tmp_path):
+def test_points_that_are_left_are_those_of_the_corrupted_sweeps(tmp_path: Path) -> None:
     drive = open_drive(write_drives(tmp_path, drives=1) / "drive_0")
     frame = drive.read(0)
     np.testing.assert_array_equal(points_left(frame, frame), frame.points_on)
@@ -157,7 +157,7 @@ def test_points_that_are_left_are_those_of_the_corrupted_sweeps(tmp_path):
     assert (by_box >= left).all() and (by_box <= left + 1).all()
 
 
-def test_detections_of_a_drive_carry_the_points_of_all_that_take_part(tmp_path):
+def test_detections_of_a_drive_carry_the_points_of_all_that_take_part(tmp_path: Path) -> None:
     drive = open_drive(write_drives(tmp_path, drives=1) / "drive_0")
     condition = Condition("beam_missing", 5)
     methods = [Method("all", PointCounter(grid=GRID)), Method("alone", PointCounter(grid=GRID), agents=1)]
@@ -170,7 +170,7 @@ def test_detections_of_a_drive_carry_the_points_of_all_that_take_part(tmp_path):
     np.testing.assert_array_equal(tables[0].points[:, 3], points_left(frame, corrupted)[:, objects].sum(axis=0))
 
 
-def test_the_index_says_what_made_it(done):
+def test_the_index_says_what_made_it(done: tuple[Path, list]) -> None:
     out, _ = done
     index = read_index(out)
     assert msgspec.json.decode((out / "detections.json").read_bytes(), type=type(index)) == index

@@ -39,7 +39,7 @@ def through(spec, position=5, settings=SMALL, seed=0):
     return sample, *Receiver(spec, seed, 0.1, settings).receive(frames, position, sample, GRID)
 
 
-def test_an_ideal_channel_changes_no_bit():
+def test_an_ideal_channel_changes_no_bit() -> None:
     sample, heard, links = through(PRESETS["ideal"])
     assert heard.agent_ids == sample.agent_ids and heard.lost == ()
     for ours, theirs in zip(heard.clouds, sample.clouds, strict=True):
@@ -51,7 +51,7 @@ def test_an_ideal_channel_changes_no_bit():
     assert all(link.age_s == 0.0 for link in links) and len(links) == 2
 
 
-def test_a_late_message_is_the_earlier_sweep_from_the_earlier_place():
+def test_a_late_message_is_the_earlier_sweep_from_the_earlier_place() -> None:
     sample, heard, links = through(STILL)
     assert [link.sent for link in links] == [4, 4]
     assert heard.clouds[0] is sample.clouds[0]
@@ -63,14 +63,14 @@ def test_a_late_message_is_the_earlier_sweep_from_the_earlier_place():
     assert not np.array_equal(heard.clouds[1], sample.clouds[1])
 
 
-def test_ground_truth_is_that_of_now_whatever_arrives():
+def test_ground_truth_is_that_of_now_whatever_arrives() -> None:
     silent = replace(PRESETS["ideal"], range_m=0.5)
     sample, heard, links = through(silent)
     assert heard.agent_ids == (1000,) and not any(link.received for link in links)
     np.testing.assert_array_equal(heard.boxes.array, sample.boxes.array)
 
 
-def test_errors_of_position_move_a_vehicle_by_as_much_as_they_say():
+def test_errors_of_position_move_a_vehicle_by_as_much_as_they_say() -> None:
     spec = replace(PRESETS["ideal"], position_error_m=0.5, heading_error_deg=0.0)
     moved = []
     for seed in range(300):
@@ -81,7 +81,7 @@ def test_errors_of_position_move_a_vehicle_by_as_much_as_they_say():
     np.testing.assert_allclose(moved[:, 1:, :2].std(axis=0), 0.5, rtol=0.15)
 
 
-def test_correlated_errors_stay_alike_and_white_ones_do_not():
+def test_correlated_errors_stay_alike_and_white_ones_do_not() -> None:
     def steps(spec):
         errors = []
         for position in range(6):
@@ -93,13 +93,13 @@ def test_correlated_errors_stay_alike_and_white_ones_do_not():
     assert steps(replace(white, error_correlation_s=30.0)).max() < 0.3 * steps(white).mean()
 
 
-def test_a_fast_clock_puts_a_moving_sender_ahead_and_leaves_a_mast_where_it_is():
+def test_a_fast_clock_puts_a_moving_sender_ahead_and_leaves_a_mast_where_it_is() -> None:
     sample, heard, _ = through(replace(PRESETS["ideal"], clock_error_s=0.1))
     moved = np.linalg.norm((heard.ego_from_agent - sample.ego_from_agent)[:, :3, 3], axis=1)
     assert moved[0] == moved[2] == 0.0 and 0.0 < moved[1] < 7.25 * 0.5
 
 
-def test_lost_packets_are_holes_in_the_features():
+def test_lost_packets_are_holes_in_the_features() -> None:
     torch.manual_seed(0)
     detector = Detector(SMALL).eval()
     sample = make_sample(FRAMES[0], 1000, GRID)
@@ -129,7 +129,7 @@ def test_lost_packets_are_holes_in_the_features():
     assert not torch.allclose(partly.fused[..., :height, :], whole.fused[..., :height, :])
 
 
-def test_the_fraction_of_a_map_that_is_lost_is_that_of_the_packets():
+def test_the_fraction_of_a_map_that_is_lost_is_that_of_the_packets() -> None:
     spec = replace(
         PRESETS["its-g5-27"], congestion_control=False, delay_s=0.0, compression=100.0, snr_db=38.0, packet_bytes=50
     )
@@ -144,7 +144,7 @@ def test_the_fraction_of_a_map_that_is_lost_is_that_of_the_packets():
     assert len(shares) > 10 and 0.0 < np.mean(shares) < 0.5
 
 
-def test_bytes_are_those_of_what_is_sent():
+def test_bytes_are_those_of_what_is_sent() -> None:
     frame = FRAMES[0]
     values = 48 * 48 * 8 + 24 * 24 * 16 + 12 * 12 * 16
     assert payload_of(SMALL, PRESETS["ideal"])(frame, 0) == 4 * values
@@ -159,7 +159,7 @@ def test_bytes_are_those_of_what_is_sent():
     assert payload_of(one_map, PRESETS["ideal"])(frame, 0) == 4 * 32 * (GRID.width // 4) * (GRID.height // 4) // 4
 
 
-def test_joined_detectors_send_what_each_of_them_needs_and_one_cloud_for_all():
+def test_joined_detectors_send_what_each_of_them_needs_and_one_cloud_for_all() -> None:
     frame, ideal = FRAMES[0], PRESETS["ideal"]
     people = replace(SMALL, users="vulnerable", grid=GridSpec((-19.2, -19.2, -3.0, 19.2, 19.2, 1.0), 0.8))
     both = Receiver(ideal, 0, 0.1, SMALL, [people]).payload
@@ -171,7 +171,7 @@ def test_joined_detectors_send_what_each_of_them_needs_and_one_cloud_for_all():
     assert seen and late(frame, 1) == cpm_bytes(seen)
 
 
-def test_clouds_lose_the_points_of_lost_packets():
+def test_clouds_lose_the_points_of_lost_packets() -> None:
     spec = replace(PRESETS["its-g5-27"], congestion_control=False, delay_s=0.0, snr_db=43.0, position_error_m=0.0)
     spec = replace(spec, heading_error_deg=0.0, clock_error_s=0.0, packet_bytes=16)
     sample, heard, links = through(spec, settings=object(), seed=4)
@@ -182,7 +182,7 @@ def test_clouds_lose_the_points_of_lost_packets():
             assert len(heard.clouds[row]) == pytest.approx(link.arrived.mean() * len(whole), rel=0.2)
 
 
-def test_a_frame_of_unknown_sight_counts_the_vehicles_between():
+def test_a_frame_of_unknown_sight_counts_the_vehicles_between() -> None:
     frame = changed(FRAMES[0], sight=np.full((3, 3), -1, np.int8))
     instant = snapshot_of(frame, 0, lambda frame, row: 1)
     assert set(np.unique(instant.sight)) <= {int(Obstruction.FREE), int(Obstruction.VEHICLE)}

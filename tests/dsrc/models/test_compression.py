@@ -34,7 +34,7 @@ def arrived(detector, pillars):
 
 
 @pytest.mark.parametrize("fusion", SENDING)
-def test_as_many_tiles_arrive_as_were_promised(fusion):
+def test_as_many_tiles_arrive_as_were_promised(fusion) -> None:
     detector = set_to(a_detector(fusion=fusion), share=0.1)
     whole = arrived(a_detector(fusion=fusion), some_pillars(detector))
     parts = arrived(detector, some_pillars(detector))
@@ -48,21 +48,21 @@ def test_as_many_tiles_arrive_as_were_promised(fusion):
         torch.testing.assert_close(part[1][kept], full[1][kept])
 
 
-def test_what_is_not_sent_stays_empty_in_few_bits():
+def test_what_is_not_sent_stays_empty_in_few_bits() -> None:
     maps = [torch.randn(2, 4, 8, 16)]
     maps[0][:, :, :, 5:] = 0.0
     (sent,) = reduced(maps, None, replace(debug().model, fusion="attention", bits=8))
     assert (sent[..., 5:] == 0.0).all() and (sent[..., :5] - maps[0][..., :5]).abs().max() < 0.03
 
 
-def test_the_tiles_that_arrive_are_those_of_which_the_sender_is_surest():
+def test_the_tiles_that_arrive_are_those_of_which_the_sender_is_surest() -> None:
     confidence = torch.zeros(1, 8, 16)
     confidence[0, 1, 2], confidence[0, 6, 13], confidence[0, 7, 0] = 0.9, 0.5, 0.4
     chosen = best_tiles(confidence, (2, 4), 2)
     assert chosen.nonzero().tolist() == [[0, 0, 0], [0, 1, 3]]
 
 
-def test_who_hears_nothing_is_alone():
+def test_who_hears_nothing_is_alone() -> None:
     detector = a_detector(fusion="max")
     pillars = some_pillars(detector)
     alone = run(detector, pillars, AgentLayout((1, 1, 1)))
@@ -72,14 +72,14 @@ def test_who_hears_nothing_is_alone():
 
 
 @pytest.mark.parametrize(("bits", "error"), [(32, 0.0), (16, 1e-3), (8, 1 / 500)])
-def test_few_bits_err_by_half_a_step_at_most(bits, error):
+def test_few_bits_err_by_half_a_step_at_most(bits: int, error: float) -> None:
     x = torch.randn(2, 3, 10, 10) * torch.tensor([0.01, 1.0, 100.0])[:, None, None]
     reach = x.amax((2, 3), keepdim=True) - x.amin((2, 3), keepdim=True)
     assert ((rounded(x, bits) - x).abs() <= error * reach).all()
     assert rounded(torch.zeros(1, 1, 2, 2), bits).tolist() == torch.zeros(1, 1, 2, 2).tolist()
 
 
-def test_all_tiles_in_full_are_what_they_were_and_training_has_everything():
+def test_all_tiles_in_full_are_what_they_were_and_training_has_everything() -> None:
     detector = a_detector()
     pillars = some_pillars(detector)
     expected = run(detector, pillars)
@@ -90,7 +90,7 @@ def test_all_tiles_in_full_are_what_they_were_and_training_has_everything():
         torch.testing.assert_close(part, full, atol=1e-4, rtol=1e-4)
 
 
-def test_a_message_has_the_bytes_of_its_tiles():
+def test_a_message_has_the_bytes_of_its_tiles() -> None:
     settings = replace(debug().model, sdd=False, pcp=False, rec=False)
     spec = PRESETS["ideal"]
     values, channels = FUSIONS["attention"].values_sent(settings), sum(settings.stage_channels)
@@ -103,7 +103,7 @@ def test_a_message_has_the_bytes_of_its_tiles():
     assert eighth == pytest.approx(values * count / (rows * columns) + rows * columns / 8 + 8 * channels, abs=1)
 
 
-def test_what_sends_no_maps_has_none_to_choose_from():
+def test_what_sends_no_maps_has_none_to_choose_from() -> None:
     with pytest.raises(ValueError, match="share"):
         replace(debug().model, fusion="late", share=0.5, sdd=False, pcp=False, rec=False)
     with pytest.raises(ValueError, match="mrcnet"):

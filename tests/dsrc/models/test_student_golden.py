@@ -111,7 +111,7 @@ def _compare(losses: dict[str, Tensor], expected: dict[str, float], rtol: float)
             np.testing.assert_allclose(losses[ours].item(), expected[name], rtol=rtol, err_msg=name)
 
 
-def test_losses_and_maps_equal_the_reference_in_eval_mode(step) -> None:
+def test_losses_and_maps_equal_the_reference_in_eval_mode(step: tuple[Step, dict[str, NDArray], dict]) -> None:
     world, arrays, notes = step
     world.nets.eval()
     _compare(world.losses(), notes["losses"]["eval"], 2e-5)
@@ -124,7 +124,7 @@ def test_losses_and_maps_equal_the_reference_in_eval_mode(step) -> None:
     close(offset[:, :, :2], arrays["eval/pcr_offset"])
 
 
-def test_foreground_is_where_the_objects_have_points(step) -> None:
+def test_foreground_is_where_the_objects_have_points(step: tuple[Step, dict[str, NDArray], dict]) -> None:
     world, arrays, _ = step
     coords = arrays["voxel_paint/coords"]
     mask = np.zeros((3, 64, 64), bool)
@@ -134,7 +134,7 @@ def test_foreground_is_where_the_objects_have_points(step) -> None:
     np.testing.assert_array_equal(mask, world.foreground.numpy())
 
 
-def test_a_training_step_equals_the_reference(step) -> None:
+def test_a_training_step_equals_the_reference(step: tuple[Step, dict[str, NDArray], dict]) -> None:
     world, arrays, notes = step
     world.nets.train()
     losses = world.losses()
@@ -156,7 +156,7 @@ def test_a_training_step_equals_the_reference(step) -> None:
             close(world.nets[part].state_dict()[next(iter(renamed))], array)
 
 
-def test_three_steps_of_adam_stay_with_the_reference(step) -> None:
+def test_three_steps_of_adam_stay_with_the_reference(step: tuple[Step, dict[str, NDArray], dict]) -> None:
     world, _, notes = step
     world.nets.train()
     parameters = [p for p in world.nets.parameters() if p.requires_grad]

@@ -22,7 +22,7 @@ GRIDS = {
 
 
 @pytest.mark.parametrize("case", GRIDS)
-def test_anchors_equal_the_released_ones(case):
+def test_anchors_equal_the_released_ones(case) -> None:
     grid, stride = GRIDS[case]
     golden = np.load(GOLDEN)
     anchors = anchor_grid(grid, stride)
@@ -35,19 +35,19 @@ def test_anchors_equal_the_released_ones(case):
         np.testing.assert_allclose(anchors[..., REFERENCE_ORDER], golden[f"{case}/all"], atol=1e-12, rtol=0)
 
 
-def test_anchors_sit_at_the_centres_of_the_output_cells():
+def test_anchors_sit_at_the_centres_of_the_output_cells() -> None:
     grid = GridSpec(range_m=(0, 0, -3, 8, 4, 1), cell_m=0.5)
     anchors = anchor_grid(grid)
     np.testing.assert_allclose(anchors[0, :, 0, 0], np.arange(8) + 0.5)
     np.testing.assert_allclose(anchors[:, 0, 0, 1], np.arange(4) + 0.5)
 
 
-def test_a_grid_that_the_stride_does_not_divide_is_refused():
+def test_a_grid_that_the_stride_does_not_divide_is_refused() -> None:
     with pytest.raises(SettingsError, match="multiple of 2"):
         anchor_grid(GridSpec(range_m=(0, 0, -3, 1.2, 4, 1)))
 
 
-def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stands():
+def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stands() -> None:
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
     anchors, (_, label, takes, least, _) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
     rng = np.random.default_rng(0)
@@ -60,14 +60,14 @@ def test_every_vulnerable_road_user_has_an_anchor_of_its_class_wherever_it_stand
             assert classes == {"pedestrian" if name == "pedestrian" else "bicycle"}
 
 
-def test_every_class_of_road_users_has_an_anchor_that_takes_it():
+def test_every_class_of_road_users_has_an_anchor_that_takes_it() -> None:
     for users, (_, label, takes, *_) in ANCHORS.items():
         everybody = Boxes.from_array(np.ones((len(CLASSES), 7)), np.arange(len(CLASSES)))
         assert np.array_equal(takes.any(axis=1), users_in(everybody, users))
         assert all(takes[kind, row] for row, kind in enumerate(label))
 
 
-def test_people_have_about_as_many_positive_anchors_as_two_wheelers():
+def test_people_have_about_as_many_positive_anchors_as_two_wheelers() -> None:
     """Those with fewer are found with lower scores. Motorcycles, the largest, have more than both."""
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
     anchors, (_, _, takes, least, _) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
@@ -80,7 +80,7 @@ def test_people_have_about_as_many_positive_anchors_as_two_wheelers():
     assert len(counts) == 5 and max(counts.values()) < 1.75 * min(counts.values()), counts
 
 
-def test_perfect_maps_decode_to_the_road_users_and_their_classes():
+def test_perfect_maps_decode_to_the_road_users_and_their_classes() -> None:
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
     anchors, (_, label, takes, least, _) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]
     boxes = np.array([(3.0, 4.0, -1.0, 0.5, 0.6, 1.7, 2.0), (-6.1, 2.0, -1.0, 1.8, 0.65, 1.7, -0.8)])
@@ -94,7 +94,7 @@ def test_perfect_maps_decode_to_the_road_users_and_their_classes():
     np.testing.assert_allclose(read.boxes.array, boxes, atol=1e-5)
 
 
-def test_two_wheelers_along_and_across_are_learned_at_half_a_right_angle_from_their_anchor():
+def test_two_wheelers_along_and_across_are_learned_at_half_a_right_angle_from_their_anchor() -> None:
     """The loss is of the sine of the angle: it has no slope at a right angle."""
     grid = GridSpec(range_m=(-12.8, -12.8, -3, 12.8, 12.8, 1), cell_m=0.2)
     anchors, (_, _, takes, least, headed) = anchor_grid(grid, users="vulnerable"), ANCHORS["vulnerable"]

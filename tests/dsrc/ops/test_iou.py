@@ -20,7 +20,7 @@ def random_boxes(rng, n, spread=6.0):
     return np.column_stack([rng.uniform(-spread, spread, (n, 3)), rng.uniform(0.5, 8, (n, 3)), rng.uniform(-7, 7, n)])
 
 
-def test_overlaps_equal_the_released_ones():
+def test_overlaps_equal_the_released_ones() -> None:
     boxes = GOLDEN["boxes"][:, [0, 1, 2, 5, 4, 3, 6]]
     np.testing.assert_allclose(bev_iou(boxes, boxes), GOLDEN["iou"], atol=1e-4)
     near = np.flatnonzero((np.abs(boxes[:, :2]).max(axis=1) < 60) & (np.arange(len(boxes)) != 13))
@@ -28,7 +28,7 @@ def test_overlaps_equal_the_released_ones():
     np.testing.assert_allclose(bev_iou(boxes, boxes)[block], GOLDEN["iou"][block], atol=2e-5)
 
 
-def test_overlaps_equal_polygon_clipping():
+def test_overlaps_equal_polygon_clipping() -> None:
     rng = np.random.default_rng(1)
     a, b = random_boxes(rng, 30), random_boxes(rng, 40)
     polygons = [[Polygon(p) for p in Boxes.from_array(boxes).bev_polygons()] for boxes in (a, b)]
@@ -37,7 +37,7 @@ def test_overlaps_equal_polygon_clipping():
 
 
 @pytest.mark.parametrize("case", ["equal", "slid", "halved", "turned", "touching"])
-def test_boxes_with_coincident_edges(case):
+def test_boxes_with_coincident_edges(case: str) -> None:
     """The library underneath fails on these if it is asked naively."""
     a = random_boxes(np.random.default_rng(2), 300, spread=60.0)
     a[:100, 6] = np.arange(100) * np.pi / 2
@@ -59,7 +59,7 @@ def test_boxes_with_coincident_edges(case):
 
 
 @given(box, box)
-def test_overlap_is_symmetric_and_between_0_and_1(a, b):
+def test_overlap_is_symmetric_and_between_0_and_1(a, b) -> None:
     for overlap in (bev_iou, iou_3d):
         ab, ba = overlap([a], [b])[0, 0], overlap([b], [a])[0, 0]
         assert ab == pytest.approx(ba, abs=2e-6)
@@ -68,7 +68,7 @@ def test_overlap_is_symmetric_and_between_0_and_1(a, b):
 
 
 @given(box, box, st.floats(-3, 3), st.floats(-500, 500))
-def test_overlap_does_not_change_when_the_world_turns_and_moves(a, b, turn, shift):
+def test_overlap_does_not_change_when_the_world_turns_and_moves(a, b, turn: float, shift: float) -> None:
     def moved(row):
         c, s = np.cos(turn), np.sin(turn)
         x, y, z, *size, yaw = row
@@ -77,14 +77,14 @@ def test_overlap_does_not_change_when_the_world_turns_and_moves(a, b, turn, shif
     assert bev_iou(moved(a), moved(b))[0, 0] == pytest.approx(bev_iou([a], [b])[0, 0], abs=5e-6)
 
 
-def test_volumes_overlap_as_footprints_times_heights():
+def test_volumes_overlap_as_footprints_times_heights() -> None:
     a = [[0, 0, 0, 4, 2, 2, 0.4]]
     assert iou_3d(a, [[0, 0, 1, 4, 2, 2, 0.4]])[0, 0] == pytest.approx(1 / 3, abs=1e-6)
     assert iou_3d(a, [[0, 0, 2.5, 4, 2, 2, 0.4]])[0, 0] == 0
     assert iou_3d(a, [[0, 0, 0, 4, 2, 1, 0.4]])[0, 0] == pytest.approx(0.5, abs=1e-6)
 
 
-def test_boxes_without_area_or_with_nan_overlap_nothing():
+def test_boxes_without_area_or_with_nan_overlap_nothing() -> None:
     good = [0, 0, 0, 4, 2, 1.5, 0]
     bad = [[0, 0, 0, 0, 2, 1, 0], [0, 0, 0, 4, -1, 1, 0], [np.nan, 0, 0, 4, 2, 1, 0], [0, 0, 0, np.inf, 2, 1, 0]]
     for overlap in (bev_iou, iou_3d):
@@ -93,7 +93,7 @@ def test_boxes_without_area_or_with_nan_overlap_nothing():
     assert iou_3d([good], [[0, 0, 0, 4, 2, 0, 0]])[0, 0] == 0
 
 
-def test_no_boxes_have_no_overlaps():
+def test_no_boxes_have_no_overlaps() -> None:
     none, some = np.zeros((0, 7)), np.ones((3, 7))
     assert bev_iou(none, some).shape == (0, 3)
     assert iou_3d(some, none).shape == (3, 0)

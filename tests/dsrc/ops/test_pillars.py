@@ -34,7 +34,7 @@ def places(points: np.ndarray, voxels: Voxels) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_voxels_equal_the_compiled_voxeliser_in_content_and_order(case):
+def test_voxels_equal_the_compiled_voxeliser_in_content_and_order(case) -> None:
     range_m, cell, max_points, max_voxels = CASES[case]
     golden = np.load(GOLDEN)
     points = golden[f"{case}/points"]
@@ -65,7 +65,7 @@ def brute_force(points, range_m, cell, max_points, max_voxels):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_first_come_rule_point_by_point(seed):
+def test_first_come_rule_point_by_point(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = rng.normal(0, 2, (700, 4)).astype(np.float32)
     range_m, cell = (-4, -4, -2, 4, 4, 2), (1.0, 0.5, 2.0)
@@ -75,23 +75,23 @@ def test_first_come_rule_point_by_point(seed):
     assert voxels.coords_zyx.tolist() == [list(map(int, c)) for c in coords]
 
 
-def test_lower_faces_belong_to_the_range_and_upper_faces_do_not():
+def test_lower_faces_belong_to_the_range_and_upper_faces_do_not() -> None:
     points = np.array([[-8, 0, 0], [8, 0, 0], [0, -4.8, 0], [0, 4.8, 0], [0, 0, -3], [0, 0, 1]], np.float32)
     assert voxelise(points, SMALL, (0.4, 0.4, 4)).order.tolist() == [0, 2, 4]
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 4)), np.full((3, 4), 99.0), np.full((2, 4), np.nan)])
-def test_nothing_in_range_makes_no_voxels(points):
+def test_nothing_in_range_makes_no_voxels(points) -> None:
     voxels = voxelise(points.astype(np.float32), SMALL, (0.4, 0.4, 4))
     assert len(voxels) == len(voxels.order) == 0 and voxels.coords_zyx.shape == (0, 3)
 
 
-def test_points_need_three_coordinates():
+def test_points_need_three_coordinates() -> None:
     with pytest.raises(ValueError, match="must have shape"):
         voxelise(np.zeros((3, 2), np.float32), SMALL, (0.4, 0.4, 4))
 
 
-def test_a_hundred_thousand_points_take_milliseconds():
+def test_a_hundred_thousand_points_take_milliseconds() -> None:
     rng = np.random.default_rng(0)
     points = rng.normal(0, (40, 15, 1, 1), (100_000, 4)).astype(np.float32)
     voxelise(points, (-140.8, -40, -3, 140.8, 40, 1), (0.4, 0.4, 4))

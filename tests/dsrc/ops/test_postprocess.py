@@ -19,12 +19,12 @@ def golden_maps():
     return GOLDEN["psm"][0], regression
 
 
-def assert_same_boxes(detections, corners, scores):
+def assert_same_boxes(detections, corners, scores) -> None:
     np.testing.assert_allclose(detections.score, scores, atol=1e-6)
     np.testing.assert_allclose(detections.boxes.corners(), corners, atol=1e-4)
 
 
-def assert_same_moved_boxes(detections, corners, scores):
+def assert_same_moved_boxes(detections, corners, scores) -> None:
     """The transform tilts by half a degree: ours stay upright, so the centres are equal and the corners nearly."""
     center = corners.mean(axis=1)
     # Two agents with one map have each score twice; which of the two comes first is open.
@@ -36,7 +36,7 @@ def assert_same_moved_boxes(detections, corners, scores):
 
 
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
-def test_detections_equal_the_released_ones(kind):
+def test_detections_equal_the_released_ones(kind: str) -> None:
     maps = golden_maps()
     if kind == "torch":
         maps = [torch.from_numpy(m).requires_grad_() for m in maps]
@@ -44,7 +44,7 @@ def test_detections_equal_the_released_ones(kind):
     assert_same_boxes(detections, GOLDEN["final_corners"], GOLDEN["final_scores"])
 
 
-def test_candidates_equal_the_released_ones():
+def test_candidates_equal_the_released_ones() -> None:
     boxes, scores = candidates(*golden_maps(), ANCHORS, 0.25)
     expected = GOLDEN["cand_boxes"][:, REFERENCE_ORDER]
     np.testing.assert_allclose(scores, GOLDEN["cand_scores"], atol=1e-6)
@@ -52,7 +52,7 @@ def test_candidates_equal_the_released_ones():
     np.testing.assert_allclose(np.sin(boxes.yaw - expected[:, 6]), 0, atol=1e-5)
 
 
-def test_late_fusion_equals_the_released_one():
+def test_late_fusion_equals_the_released_one() -> None:
     own = candidates(*golden_maps(), ANCHORS, 0.25)
     rolled = candidates(*(np.roll(m, 3, axis=2) for m in golden_maps()), ANCHORS, 0.25)
     moved = select(own[0].transform(GOLDEN["T"]), own[1], RELEASED)
@@ -77,14 +77,14 @@ def maps_of(boxes, scores):
 BUS = (0.0, 0.0, -0.5, 12.0, 2.5, 3.0, 0.3)
 
 
-def test_a_bus_is_kept_unless_the_released_filter_is_asked_for():
+def test_a_bus_is_kept_unless_the_released_filter_is_asked_for() -> None:
     maps = maps_of([BUS], [0.9])
     kept = decode_detections(*maps, ANCHORS, PostSettings())
     np.testing.assert_allclose(kept.boxes.array, [BUS], atol=1e-5)
     assert len(decode_detections(*maps, ANCHORS, PostSettings(max_extent_m=6.0))) == 0
 
 
-def test_boxes_that_leave_the_range_are_dropped():
+def test_boxes_that_leave_the_range_are_dropped() -> None:
     boxes = [(0, 0, -1, 4, 2, 1.6, 0), (9.5, 0, -1, 4, 2, 1.6, 0), (0, 4, 0.5, 4, 2, 1.6, 0)]
     maps = maps_of(boxes, [0.9, 0.8, 0.7])
     assert len(decode_detections(*maps, ANCHORS, PostSettings())) == 3
@@ -92,25 +92,25 @@ def test_boxes_that_leave_the_range_are_dropped():
     np.testing.assert_allclose(inside.boxes.array, boxes[:1], atol=1e-5)
 
 
-def test_detections_come_best_first_and_above_the_threshold():
+def test_detections_come_best_first_and_above_the_threshold() -> None:
     maps = maps_of([(-9, 0, -1, 4, 2, 1.6, 0), (0, 0, -1, 4, 2, 1.6, 0), (9, 0, -1, 4, 2, 1.6, 0)], [0.3, 0.9, 0.1])
     detections = decode_detections(*maps, ANCHORS, PostSettings(score_threshold=0.2))
     np.testing.assert_allclose(detections.score, [0.9, 0.3], atol=1e-6)
 
 
 @pytest.mark.parametrize("value", [np.nan, -50.0])
-def test_maps_that_say_nothing_give_no_detections(value):
+def test_maps_that_say_nothing_give_no_detections(value) -> None:
     empty = decode_detections(np.full((2, 32, 64), value), np.zeros((14, 32, 64)), ANCHORS, PostSettings())
     assert len(empty) == 0
     assert len(empty.boxes) == 0
 
 
-def test_a_box_with_nan_is_dropped():
+def test_a_box_with_nan_is_dropped() -> None:
     logits, regression = maps_of([BUS, (-20, -9, -1, 4, 2, 1.6, 0)], [0.9, 0.8])
     regression[:, 16, :] = np.nan
     regression[:, 15, :] = np.nan
     assert len(decode_detections(logits, regression, ANCHORS, PostSettings())) == 1
 
 
-def test_selecting_from_nothing():
+def test_selecting_from_nothing() -> None:
     assert len(select(Boxes.zeros(), np.zeros(0, np.float32), RELEASED)) == 0

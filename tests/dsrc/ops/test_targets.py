@@ -21,7 +21,7 @@ def dense_mask(index):
     return mask
 
 
-def test_legacy_labels_equal_the_released_ones_where_no_best_anchor_is_tied():
+def test_legacy_labels_equal_the_released_ones_where_no_best_anchor_is_tied() -> None:
     targets = assign_targets(our_order(GOLDEN["unique/gt"]), ANCHORS, legacy_iou=True)
     index = tuple(GOLDEN["unique/pos_index"].T)
     np.testing.assert_array_equal(targets.positive, dense_mask(GOLDEN["unique/pos_index"]))
@@ -34,7 +34,7 @@ def test_legacy_labels_equal_the_released_ones_where_no_best_anchor_is_tied():
     np.testing.assert_allclose(decoded, our_order(GOLDEN["unique/pos_decoded"]), atol=1e-4)
 
 
-def test_legacy_labels_equal_the_released_ones_up_to_ties():
+def test_legacy_labels_equal_the_released_ones_up_to_ties() -> None:
     targets = assign_targets(our_order(GOLDEN["gt"]), ANCHORS, legacy_iou=True)
     owner = targets.owner.ravel()
     threshold = GOLDEN["thr_anchor"]
@@ -54,12 +54,12 @@ def car(x, y, yaw, length=4.9, width=2.1):
     return np.array([[x, y, -1.0, length, width, 1.6, yaw]])
 
 
-def test_a_car_gets_several_anchors_whatever_its_heading():
+def test_a_car_gets_several_anchors_whatever_its_heading() -> None:
     for yaw in np.radians(range(-180, 181, 15)):
         assert 2 <= assign_targets(car(3.1, -2.3, yaw), ANCHORS).positive.sum() <= 12, yaw
 
 
-def test_positive_anchors_decode_to_their_box():
+def test_positive_anchors_decode_to_their_box() -> None:
     boxes = np.concatenate([car(3.1, -2.3, 0.3), car(-8.0, 4.0, 1.7), car(10, 0, -0.1, length=12.0, width=2.5)])
     targets = assign_targets(boxes, ANCHORS)
     deltas = targets.regression.reshape(32, 64, 2, 7)[targets.positive]
@@ -68,7 +68,7 @@ def test_positive_anchors_decode_to_their_box():
     assert not targets.regression.reshape(32, 64, 2, 7)[~targets.positive].any()
 
 
-def test_a_bus_owns_every_anchor_that_fits_inside_it():
+def test_a_bus_owns_every_anchor_that_fits_inside_it() -> None:
     targets = assign_targets(car(0.0, 0.0, 0.0, length=12.0, width=2.5), ANCHORS)
     centres = ANCHORS[targets.positive]
     assert len(centres) >= 10
@@ -76,7 +76,7 @@ def test_a_bus_owns_every_anchor_that_fits_inside_it():
     assert (centres[:, 6] == 0).all()
 
 
-def test_a_box_has_only_anchors_that_fit_it():
+def test_a_box_has_only_anchors_that_fit_it() -> None:
     targets = assign_targets(
         np.concatenate([car(0, 0, 0), car(8, 0, 0)]), ANCHORS, fits=np.array([[1, 1], [0, 1]], bool)
     )
@@ -86,13 +86,13 @@ def test_a_box_has_only_anchors_that_fit_it():
         assign_targets(np.concatenate([car(0, 0, 0), car(8, 0, 0)]), ANCHORS, fits=np.ones((2, 1), bool))
 
 
-def test_two_cars_side_by_side_share_no_anchor_and_both_get_some():
+def test_two_cars_side_by_side_share_no_anchor_and_both_get_some() -> None:
     targets = assign_targets(np.concatenate([car(0, 0, 0), car(0.3, 2.4, 0)]), ANCHORS)
     assert (targets.owner == 0).any()
     assert (targets.owner == 1).any()
 
 
-def test_ignored_anchors_are_neither_positive_nor_far():
+def test_ignored_anchors_are_neither_positive_nor_far() -> None:
     targets = assign_targets(car(0.2, 0.1, 0.1), ANCHORS)
     assert targets.ignored.any()
     assert not (targets.ignored & targets.positive).any()
@@ -101,7 +101,7 @@ def test_ignored_anchors_are_neither_positive_nor_far():
 
 @pytest.mark.parametrize("legacy_iou", [False, True])
 @pytest.mark.parametrize("boxes", [np.zeros((0, 7)), car(500.0, 0.0, 0.0)])
-def test_no_box_on_the_grid_means_no_positive_anchor(boxes, legacy_iou):
+def test_no_box_on_the_grid_means_no_positive_anchor(boxes, legacy_iou: bool) -> None:
     targets = assign_targets(boxes, ANCHORS, legacy_iou=legacy_iou)
     assert not targets.positive.any()
     assert not targets.ignored.any()

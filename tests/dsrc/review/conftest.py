@@ -20,7 +20,7 @@ FAR_AWAY = np.array([4000.0, -2500.0, 80.0])
 
 
 @pytest.fixture(autouse=True)
-def quiet_server_threads():
+def quiet_server_threads() -> None:
     # A server that stops while a browser connects logs that; not what these tests are about.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
 
@@ -135,7 +135,7 @@ def detector() -> FakeDetector:
 
 
 @pytest.fixture
-def model(drive, detector) -> ReviewModel:
+def model(drive: FakeDrive, detector: FakeDetector) -> ReviewModel:
     return ReviewModel([drive], detector)
 
 
@@ -146,12 +146,12 @@ def street() -> ReviewModel:
 
 
 @pytest.fixture
-def truth_model(drive) -> ReviewModel:
+def truth_model(drive: FakeDrive) -> ReviewModel:
     return ReviewModel([drive])
 
 
 @pytest.fixture
-def fake_fog(monkeypatch):
+def fake_fog(monkeypatch: pytest.MonkeyPatch):
     """Fog that removes every other point and marks the rest; counts its calls."""
     calls = []
 

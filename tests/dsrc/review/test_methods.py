@@ -37,7 +37,7 @@ def two(model) -> ReviewModel:
     return model
 
 
-def test_the_first_method_is_judged_and_others_are_drawn_over_it(two):
+def test_the_first_method_is_judged_and_others_are_drawn_over_it(two: ReviewModel) -> None:
     alone = two.view(STATE)
     both = two.view(replace(STATE, methods=(DETECTOR, "weak")))
     assert (alone.method, alone.compared) == (DETECTOR, ()) and two.methods(0) == [DETECTOR, "weak"]
@@ -53,7 +53,7 @@ def test_the_first_method_is_judged_and_others_are_drawn_over_it(two):
     )
 
 
-def test_missing_recorded_detections_are_said_and_nothing_is_judged(two, fake_fog):
+def test_missing_recorded_detections_are_said_and_nothing_is_judged(two: ReviewModel, fake_fog) -> None:
     missing = two.view(replace(STATE, frame=9, methods=("weak",)))
     assert missing.counts is None and "weak has no detections in this frame" in missing.notice
     assert len(missing.layers[DETECTED_TRUTH]) == 5
@@ -62,12 +62,12 @@ def test_missing_recorded_detections_are_said_and_nothing_is_judged(two, fake_fo
     assert two.view(STATE).notice == "" and two.counts(replace(STATE, frame=9, methods=("weak",))) is None
 
 
-def test_an_unknown_method_is_one_line(two):
+def test_an_unknown_method_is_one_line(two: ReviewModel) -> None:
     with pytest.raises(SettingsError, match="street: methods: expected a set of detections, found weka; did you mean"):
         two.view(replace(STATE, methods=("weka",)))
 
 
-def test_the_index_is_of_the_known_frames_and_grows_with_them(two):
+def test_the_index_is_of_the_known_frames_and_grows_with_them(two: ReviewModel) -> None:
     index = two.index(replace(STATE, methods=(DETECTOR, "weak")))
     assert [len(run.table) for run in index.runs.values()] == [4, 4]
     errors = index.errors(0.0, 0.5)
@@ -85,12 +85,12 @@ def test_the_index_is_of_the_known_frames_and_grows_with_them(two):
     assert curve.ap == evaluate(results).curves["bev", 0.5].ap
 
 
-def test_recorded_detections_have_their_own_cooperation(two):
+def test_recorded_detections_have_their_own_cooperation(two: ReviewModel) -> None:
     alone = two.index(replace(STATE, methods=(DETECTOR, "weak"), cooperative=False)).runs
     assert {name: run.setup.cooperative for name, run in alone.items()} == {DETECTOR: False, "weak": True}
 
 
-def test_changes_between_methods_and_conditions_name_what_took(two, fake_fog):
+def test_changes_between_methods_and_conditions_name_what_took(two: ReviewModel, fake_fog) -> None:
     weak = replace(STATE, methods=("weak",))
     made = two.changes(weak, STATE)
     assert made.fixed.all() and len(made) > 0 and made.title(0) == "fixed by detector"
@@ -102,7 +102,7 @@ def test_changes_between_methods_and_conditions_name_what_took(two, fake_fog):
         ReviewModel([two.sources[0].drive]).changes(STATE, FOG)
 
 
-def test_an_episode_is_drawn_with_what_its_ego_believed():
+def test_an_episode_is_drawn_with_what_its_ego_believed() -> None:
     log = full_log()
     source = episode_source(log)
     model = ReviewModel([source])
@@ -116,7 +116,7 @@ def test_an_episode_is_drawn_with_what_its_ego_believed():
     assert ReviewModel([source]).view(ReviewState()).moment.time_s == log.ticks[0].ego.time_s
 
 
-def test_a_live_source_grows_under_the_page():
+def test_a_live_source_grows_under_the_page() -> None:
     live = LiveSource("live", kept=3)
     live.put(street_frame(0))
     model = ReviewModel([live])

@@ -32,14 +32,14 @@ def least(named, vision, difference):
     [(MARKS, 20.0, 16.5), (POINTS, 20.0, 9.5), (METHODS, 20.0, 14.0)],
     ids=["marks", "points", "methods"],
 )
-def test_colours_of_different_meaning_differ(vision, named, by_1976, by_2000):
+def test_colours_of_different_meaning_differ(vision, named, by_1976: float, by_2000: float) -> None:
     for difference, bar in ((difference_1976, by_1976), (difference_2000, by_2000)):
         apart, which = least(named, vision, difference)
         assert apart >= bar, which
 
 
 @pytest.mark.parametrize("brightness", BRIGHTNESS.values(), ids=BRIGHTNESS)
-def test_bodies_keep_their_colours_in_the_light_of_a_theme(brightness):
+def test_bodies_keep_their_colours_in_the_light_of_a_theme(brightness) -> None:
     agents = np.array(AGENT_COLORS, np.uint8)
     light = linear(agents, brightness) * brightness / 255.0
     shown = 255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.minimum(light, 1.0) ** (1 / 2.4) - 0.055)
@@ -57,5 +57,7 @@ def test_bodies_keep_their_colours_in_the_light_of_a_theme(brightness):
         ((2.0776, 0.0795, -1.135), (0.9033, -0.0636, -0.5514), 0.9082),
     ],
 )
-def test_ciede2000_is_that_of_the_published_pairs(one, other, expected):
+def test_ciede2000_is_that_of_the_published_pairs(
+    one: tuple[float, float, float], other: tuple[float, float, float], expected: float
+) -> None:
     assert difference_2000(np.array(one), np.array(other)) == pytest.approx(expected, abs=1e-4)

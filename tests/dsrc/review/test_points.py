@@ -21,20 +21,20 @@ def ground(n: int = 20_000, actors: int = 500):
 
 
 @pytest.mark.parametrize("limit", [1, 50, 999, 7000, 19_999, 20_000, 50_000])
-def test_thinning_keeps_the_limit_and_the_order(limit):
+def test_thinning_keeps_the_limit_and_the_order(limit: int) -> None:
     rows = subsample(ground(), limit)
     assert len(rows) <= limit
     assert (np.diff(rows) > 0).all()
     assert len(rows) >= min(limit, 20_000) // 2
 
 
-def test_thinning_keeps_points_on_actors_before_the_ground():
+def test_thinning_keeps_points_on_actors_before_the_ground() -> None:
     sweep = ground()
     rows = subsample(sweep, 3000)
     assert np.count_nonzero(sweep.object_id[rows] >= 0) == 500
 
 
-def test_thinning_takes_more_from_what_is_near():
+def test_thinning_takes_more_from_what_is_near() -> None:
     sweep = ground(actors=0)
     share = [
         np.isin(np.flatnonzero(band), subsample(sweep, 4000)).mean() for band in (sweep.range < 20, sweep.range > 60)
@@ -42,25 +42,25 @@ def test_thinning_takes_more_from_what_is_near():
     assert share[0] < share[1]
 
 
-def test_points_that_float16_cannot_hold_are_not_drawn():
+def test_points_that_float16_cannot_hold_are_not_drawn() -> None:
     sweep = make_sweep(np.array([[1.0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0], [70_000.0, 0, 0]]))
     assert subsample(sweep, 100).tolist() == [0]
 
 
 @pytest.mark.parametrize("color_by", COLOR_BY)
-def test_every_colouring_gives_one_colour_per_point(color_by):
+def test_every_colouring_gives_one_colour_per_point(color_by) -> None:
     for sweep in (ground(100), ground(0, 0)):
         colors = point_colors(sweep, color_by, AGENT_COLORS[0], UPRIGHT)
         assert colors.shape == (len(sweep), 3) and colors.dtype == np.uint8
 
 
-def test_actors_shine_in_their_agents_colour_and_the_ground_is_dim():
+def test_actors_shine_in_their_agents_colour_and_the_ground_is_dim() -> None:
     colors = point_colors(ground(1000, 10), "agent", (200, 100, 50), UPRIGHT)
     assert (colors[:10] == (200, 100, 50)).all()
     assert colors[10:].max() < 100
 
 
-def test_a_tilted_sensor_sees_the_road_at_no_height():
+def test_a_tilted_sensor_sees_the_road_at_no_height() -> None:
     body_from_lidar = pose_matrix([0.0, 0.0, 1.8], 0.0, 0.4)
     road = ground(1000, 0)
     tilted = make_sweep(transform_points(invert(body_from_lidar) @ pose_matrix([0.0, 0.0, 1.8]), road.points))
@@ -73,7 +73,7 @@ def test_a_tilted_sensor_sees_the_road_at_no_height():
         assert np.abs(seen[0].astype(int) - seen[1]).max() <= 4
 
 
-def test_fates_have_their_colours():
+def test_fates_have_their_colours() -> None:
     sweep = make_sweep(np.zeros((2, 3)), fate=np.array([KEPT, SCATTERED]))
     assert point_colors(sweep, "fate", (1, 2, 3), UPRIGHT).tolist() == [
         list(FATE_COLORS[KEPT]),

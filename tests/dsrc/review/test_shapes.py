@@ -12,7 +12,7 @@ from sim.boxes import Boxes
 TURNED = Boxes.from_array([[5.0, 3.0, 1.0, 4.0, 2.0, 1.5, 0.7], [0.0, 0.0, 0.0, 2.0, 2.0, 2.0, -2.0]])
 
 
-def test_a_box_is_twelve_edges_and_a_tick_along_its_heading():
+def test_a_box_is_twelve_edges_and_a_tick_along_its_heading() -> None:
     lines = edges(TURNED)
     assert lines.shape == (26, 2, 3)
     lengths = np.linalg.norm(lines[:24, 1] - lines[:24, 0], axis=1).reshape(2, 12)
@@ -21,30 +21,30 @@ def test_a_box_is_twelve_edges_and_a_tick_along_its_heading():
     assert np.arctan2(tick[1], tick[0]) == pytest.approx(0.7, abs=1e-5) and tick[2] == pytest.approx(0.0)
 
 
-def test_tp_fp_and_fn_differ_in_form():
+def test_tp_fp_and_fn_differ_in_form() -> None:
     assert len(crossed(TURNED)) == len(edges(TURNED)) + 4
     solid, broken = edges(TURNED), dashed(TURNED)
     length = [np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum() for lines in (solid, broken)]
     assert len(broken) > 2 * len(solid) and 0.4 < length[1] / length[0] < 0.75
 
 
-def test_no_boxes_have_no_lines():
+def test_no_boxes_have_no_lines() -> None:
     for form in (edges, crossed, dashed):
         assert form(Boxes.zeros()).shape == (0, 2, 3)
 
 
-def test_the_unit_cube_faces_outwards():
+def test_the_unit_cube_faces_outwards() -> None:
     triangles = CUBE_VERTICES[CUBE_FACES]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     assert (np.einsum("fc,fc->f", normals, triangles.mean(axis=1)) > 0).all()
     assert np.linalg.norm(normals, axis=1).sum() / 2 == pytest.approx(6.0)
 
 
-def test_a_quaternion_turns_about_z():
+def test_a_quaternion_turns_about_z() -> None:
     np.testing.assert_allclose(quaternions(np.array([0.0, np.pi / 2])), [[1, 0, 0, 0], [2**-0.5, 0, 0, 2**-0.5]], 1e-6)
 
 
-def test_two_detections_of_one_object_are_one_tp_and_one_fp():
+def test_two_detections_of_one_object_are_one_tp_and_one_fp() -> None:
     truth = Boxes.from_array([[0.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0], [20.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]])
     twice = Detections(truth[np.array([0, 0])], np.array([0.8, 0.6], np.float32))
     matches = match(twice, truth, 0.5)
@@ -57,18 +57,18 @@ def test_two_detections_of_one_object_are_one_tp_and_one_fp():
 
 @pytest.mark.parametrize("detections", [0, 2])
 @pytest.mark.parametrize("objects", [0, 2])
-def test_matching_takes_empty_sides(detections, objects):
+def test_matching_takes_empty_sides(detections: int, objects: int) -> None:
     matches = match(Detections(TURNED[:detections], np.ones(detections, np.float32)), TURNED[:objects], 0.5)
     found = min(detections, objects)
     assert matches.counts(0.0) == Counts(found, detections - found, objects - found)
 
 
-def test_precision_of_nothing_is_unknown():
+def test_precision_of_nothing_is_unknown() -> None:
     assert Counts().precision is None and Counts().recall is None
     assert Counts(0, 1, 1).precision == 0.0
 
 
-def test_cameras_look_at_the_ego(truth_model):
+def test_cameras_look_at_the_ego(truth_model) -> None:
     view = truth_model.view(ReviewState())
     ego = view.ego.review_from_body[:3, 3]
     for pose in (chase(view), birds_eye(view), overview(view)):
@@ -77,7 +77,7 @@ def test_cameras_look_at_the_ego(truth_model):
     assert chase(view).position[0] < ego[0] < chase(view).look_at[0]
 
 
-def test_the_scene_of_a_following_camera_keeps_the_ego_at_its_origin(truth_model):
+def test_the_scene_of_a_following_camera_keeps_the_ego_at_its_origin(truth_model) -> None:
     for frame in (0, 5):
         view = truth_model.view(ReviewState(frame=frame))
         for camera in ("chase", "bev"):
@@ -86,7 +86,7 @@ def test_the_scene_of_a_following_camera_keeps_the_ego_at_its_origin(truth_model
         np.testing.assert_allclose(scene_from_review("free", view), np.eye(4))
 
 
-def test_the_world_is_cut_to_the_surroundings_and_split_by_material():
+def test_the_world_is_cut_to_the_surroundings_and_split_by_material() -> None:
     import trimesh
 
     from sim.mesh.materials import MATERIALS
@@ -103,7 +103,7 @@ def test_the_world_is_cut_to_the_surroundings_and_split_by_material():
     assert all(p.faces.max() < len(p.vertices) for p in parts.values())
 
 
-def test_ground_of_two_large_triangles_is_drawn_below_the_roads():
+def test_ground_of_two_large_triangles_is_drawn_below_the_roads() -> None:
     import trimesh
 
     from sim.mesh.materials import MATERIALS

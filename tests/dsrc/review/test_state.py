@@ -1,6 +1,7 @@
 """Changes of a state leave nothing in it that they make meaningless."""
 
 from functools import partial
+from typing import Any
 
 import pytest
 
@@ -14,7 +15,7 @@ def then(state, **changes):
     return with_changes(state, lambda _: SETS, **changes)
 
 
-def test_errors_are_of_methods_that_are_shown():
+def test_errors_are_of_methods_that_are_shown() -> None:
     both = changed(methods=("good", "weak"), error_method="weak")
     assert both.error_method == "weak"
     assert then(both, methods=("good",)).error_method == ""
@@ -32,13 +33,13 @@ def test_errors_are_of_methods_that_are_shown():
         ("clean", {"corruption": "clean"}),
     ],
 )
-def test_no_run_is_compared_with_itself(versus, own):
+def test_no_run_is_compared_with_itself(versus: str, own: dict[str, Any]) -> None:
     other = changed(methods=("blind",), corruption="fog", versus=versus)
     assert other.versus == versus and other_run(other) is not None
     assert then(other, **own).versus == ""
 
 
-def test_nothing_is_broken_without_another_run():
+def test_nothing_is_broken_without_another_run() -> None:
     broken = changed(corruption="fog", listed="broken")
     assert broken.listed == "broken"
     assert then(broken, corruption="clean").listed == "all"

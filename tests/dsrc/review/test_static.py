@@ -8,7 +8,7 @@ from sim.errors import DataError
 
 
 @pytest.mark.parametrize("seed", [[1], None, float("inf"), "x"])
-def test_a_seed_that_is_no_number_is_told(seed):
+def test_a_seed_that_is_no_number_is_told(seed) -> None:
     protocol = {"testbed": {"scenario": {"name": "four_way"}, "seed": seed}}
     with pytest.raises(DataError, match="roads and buildings are not drawn"):
         static_parts(protocol, np.zeros(3), np.zeros((1, 2)))

@@ -21,7 +21,7 @@ def worker():
     worker.close()
 
 
-def test_a_run_is_detected_once_from_a_frame_on(worker, model, drive, detector):
+def test_a_run_is_detected_once_from_a_frame_on(worker, model, drive, detector) -> None:
     store = model.stores[0]
     number = worker.detect(store, DETECTOR, Setup(), start=5)
     progress = worker.wait(number, 60.0)
@@ -35,7 +35,7 @@ def test_a_run_is_detected_once_from_a_frame_on(worker, model, drive, detector):
     assert model.view(ReviewState(frame=7)).seen_frames == 12 and len(detector.samples) == 12
 
 
-def test_a_cancelled_job_keeps_what_it_found(worker, model, detector):
+def test_a_cancelled_job_keeps_what_it_found(worker, model, detector) -> None:
     entered, go = threading.Event(), threading.Event()
     detect = detector.detect
 
@@ -58,7 +58,7 @@ def test_a_cancelled_job_keeps_what_it_found(worker, model, detector):
     assert [one.number for one in worker.jobs()] == [number, waits]
 
 
-def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(worker, model, drive, detector):
+def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(worker, model, drive, detector) -> None:
     read = drive.read
 
     def broken(row):
@@ -71,7 +71,7 @@ def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(w
     assert progress.state == "done" and progress.skipped == ((3, "000003.pcd: not a readable point cloud"),)
     assert 3 not in model.stores[0].source.sets[DETECTOR].rows(Setup())
 
-    def fails(sample):
+    def fails(sample) -> None:
         raise RuntimeError("out of memory")
 
     detector.detect = fails
@@ -81,7 +81,7 @@ def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(w
     worker.prefetch(model.stores[0], [9])
 
 
-def test_frames_are_read_ahead_and_then_drawn_without_reading(worker, model, drive, fake_fog):
+def test_frames_are_read_ahead_and_then_drawn_without_reading(worker, model, drive, fake_fog) -> None:
     worker.prefetch(model.stores[0], [4, 5, 6, 99], Condition("fog", 3))
     deadline = time.monotonic() + 30.0
     while len(fake_fog) < 3 and time.monotonic() < deadline:
@@ -92,7 +92,7 @@ def test_frames_are_read_ahead_and_then_drawn_without_reading(worker, model, dri
     assert drive.reads == reads and len(fake_fog) == 3
 
 
-def test_a_newer_request_replaces_what_was_to_be_read_ahead(worker, model, drive):
+def test_a_newer_request_replaces_what_was_to_be_read_ahead(worker, model, drive) -> None:
     entered, go = threading.Event(), threading.Event()
     read = drive.read
 
@@ -113,7 +113,7 @@ def test_a_newer_request_replaces_what_was_to_be_read_ahead(worker, model, drive
     assert drive.reads == [0, 8]
 
 
-def test_only_detectors_can_be_asked(worker, model, drive):
+def test_only_detectors_can_be_asked(worker, model, drive) -> None:
     model.sources[0].sets["stored"] = MemorySet("stored")
     with pytest.raises(SettingsError, match="street: stored: expected a detector, found recorded detections"):
         worker.detect(model.stores[0], "stored", Setup())
@@ -123,7 +123,7 @@ def test_only_detectors_can_be_asked(worker, model, drive):
         worker.progress(77)
 
 
-def test_a_closed_worker_ends_its_jobs(drive, detector):
+def test_a_closed_worker_ends_its_jobs(drive, detector) -> None:
     model, worker = ReviewModel([drive], detector), Worker()
     numbers = [worker.detect(model.stores[0], DETECTOR, Setup(ego_id=ego)) for ego in (1000, 1002)]
     worker.close()

@@ -22,20 +22,20 @@ def turned(difference):
     return (difference + np.pi) % (2 * np.pi) - np.pi
 
 
-def test_beams_point_at_the_elevation_of_their_ring_and_the_azimuth_of_their_column():
+def test_beams_point_at_the_elevation_of_their_ring_and_the_azimuth_of_their_column() -> None:
     spec = spec_of(elevation_deg=(10.0, -20.0), columns=4)
     azimuth, elevation = angles(beams_of(spec, 0.0).axis[:, :, :4])
     np.testing.assert_allclose(np.degrees(elevation), [[10.0] * 4, [-20.0] * 4], atol=1e-5)
     np.testing.assert_allclose(np.degrees(azimuth) % 360.0, [[180.0, 270.0, 0.0, 90.0]] * 2, atol=1e-5)
 
 
-def test_a_clockwise_head_looks_right_after_ahead():
+def test_a_clockwise_head_looks_right_after_ahead() -> None:
     spec = spec_of(elevation_deg=(0.0,), columns=4, clockwise=True)
     azimuth, _ = angles(beams_of(spec, 0.0).axis[:, :, :4])
     np.testing.assert_allclose(turned(azimuth[0] - np.radians([180.0, 90.0, 0.0, -90.0])), 0.0, atol=1e-6)
 
 
-def test_a_beam_looks_aside_by_its_offset():
+def test_a_beam_looks_aside_by_its_offset() -> None:
     spec = spec_of(elevation_deg=(1.0, 0.0), azimuth_offset_deg=(3.0, -5.0), columns=360)
     azimuth, _ = angles(beams_of(spec, 0.0).axis[:, :, :360])
     offset = np.degrees(turned(azimuth - spec.azimuth))
@@ -43,7 +43,7 @@ def test_a_beam_looks_aside_by_its_offset():
 
 
 @pytest.mark.parametrize(("clockwise", "turn"), [(False, 0.25), (True, -0.25)])
-def test_the_head_keeps_turning_until_a_beam_fires(clockwise, turn):
+def test_the_head_keeps_turning_until_a_beam_fires(clockwise: bool, turn: float) -> None:
     quarter = 0.25 * 0.1 / 360
     spec = spec_of(elevation_deg=(1.0, 0.0), firing_s=(0.0, quarter), columns=360, clockwise=clockwise)
     azimuth, _ = angles(beams_of(spec, 0.0).axis[:, :, :360])
@@ -51,7 +51,7 @@ def test_the_head_keeps_turning_until_a_beam_fires(clockwise, turn):
     np.testing.assert_allclose(beams_of(spec, 0.0).firing_share, [0.0, 0.25], atol=1e-6)
 
 
-def test_a_beam_has_one_ray_along_its_axis_by_default():
+def test_a_beam_has_one_ray_along_its_axis_by_default() -> None:
     beams = beams_of(get_lidar("vlp-16"), 0.0)
     np.testing.assert_array_equal(beams.subray[0], beams.axis)
     assert len(beams.subray) == 1
@@ -59,7 +59,7 @@ def test_a_beam_has_one_ray_along_its_axis_by_default():
 
 @pytest.mark.parametrize("subrays", [4, 8])
 @pytest.mark.parametrize("vertical", [None, 0.0015])
-def test_sub_rays_have_the_second_moments_of_the_beam(subrays, vertical):
+def test_sub_rays_have_the_second_moments_of_the_beam(subrays: int, vertical: float | None) -> None:
     spec = spec_of("vlp-16", subrays=subrays, divergence_rad=0.006, divergence_vertical_rad=vertical)
     beams = beams_of(spec, 0.0)
     up = np.array([0.0, 0.0, 1.0])
@@ -73,7 +73,7 @@ def test_sub_rays_have_the_second_moments_of_the_beam(subrays, vertical):
         np.testing.assert_allclose([across.mean(), along.mean()], 0.0, atol=1e-6)
 
 
-def test_columns_come_in_whole_blocks_that_repeat_the_last():
+def test_columns_come_in_whole_blocks_that_repeat_the_last() -> None:
     beams = beams_of(spec_of(columns=37), 0.0)
     assert beams.axis.shape[2] == 3 * BLOCK == BLOCK * beams.blocks
     assert beams.columns == 37
@@ -81,18 +81,18 @@ def test_columns_come_in_whole_blocks_that_repeat_the_last():
     np.testing.assert_array_equal(beams.fan.azimuth[37:], beams.fan.azimuth[36])
 
 
-def test_whole_blocks_need_no_padding():
+def test_whole_blocks_need_no_padding() -> None:
     assert beams_of(spec_of(columns=32), 0.0).axis.shape[2] == 32
 
 
-def test_a_rosette_repeats_its_last_firing_too():
+def test_a_rosette_repeats_its_last_firing_too() -> None:
     beams = beams_of(spec_of("livox-avia", columns=37), 0.0)
     np.testing.assert_array_equal(beams.axis[:, :, 37:], np.repeat(beams.axis[:, :, 36:37], 11, axis=2))
     assert beams.fan is None
 
 
 @pytest.mark.parametrize("name", SPINNING)
-def test_no_ray_leaves_the_spread_of_its_column_and_ring(name):
+def test_no_ray_leaves_the_spread_of_its_column_and_ring(name) -> None:
     beams = beams_of(spec_of(name, subrays=8, columns=64, firing_s=(), angle_noise_deg=0.0), 0.0)
     azimuth, elevation = angles(beams.subray)
     rounding = 1e-6
@@ -100,7 +100,7 @@ def test_no_ray_leaves_the_spread_of_its_column_and_ring(name):
     assert np.abs(elevation - beams.fan.elevation[:, None]).max() <= beams.fan.spread + rounding
 
 
-def test_the_spread_holds_for_steep_beams_with_jitter():
+def test_the_spread_holds_for_steep_beams_with_jitter() -> None:
     spec = spec_of(elevation_deg=(80.0, -80.0), angle_noise_deg=0.2, subrays=4, divergence_rad=0.01)
     beams = beams_of(spec, 0.0)
     tilt = halo(spec)
@@ -115,7 +115,7 @@ def test_the_spread_holds_for_steep_beams_with_jitter():
     assert np.abs(turned(azimuth - beams.fan.azimuth[0])).max() > 5 * tilt
 
 
-def test_reach_is_that_of_each_beam():
+def test_reach_is_that_of_each_beam() -> None:
     beams = beams_of(get_lidar("at128"), 0.0)
     np.testing.assert_allclose(beams.reach, get_lidar("at128").beam_range)
     np.testing.assert_allclose(beams_of(get_lidar("vlp-16"), 0.0).reach, [[0.5, 100.0]] * 16)

@@ -34,14 +34,14 @@ def cells(directions, degrees=1.0):
 
 
 @pytest.mark.parametrize("slanted_exit", [False, True])
-def test_a_thin_wedge_bends_by_its_angle_times_the_index_less_one_towards_its_thick_end(slanted_exit):
+def test_a_thin_wedge_bends_by_its_angle_times_the_index_less_one_towards_its_thick_end(slanted_exit: bool) -> None:
     spec = wedges(Prism(rate_hz=10.0, wedge_deg=0.5, refraction=1.5, slanted_exit=slanted_exit))
     azimuth, elevation = rosette_axes(spec, np.array([[0.0, 0.025, 0.05, 0.075]]))
     np.testing.assert_allclose(np.degrees(elevation[0]), [0.25, 0.0, -0.25, 0.0], atol=1e-4)
     np.testing.assert_allclose(np.degrees(azimuth[0]), [0.0, 0.25, 0.0, -0.25], atol=1e-4)
 
 
-def test_a_thick_wedge_obeys_snell_at_both_faces():
+def test_a_thick_wedge_obeys_snell_at_both_faces() -> None:
     wedge, n = np.radians(20.0), 1.51
     into = wedge - np.arcsin(np.sin(wedge) / n)
     entry = np.degrees(np.arcsin(n * np.sin(into)))
@@ -51,7 +51,7 @@ def test_a_thick_wedge_obeys_snell_at_both_faces():
         np.testing.assert_allclose(thrown(spec, np.linspace(0.0, 1.0, 50)), angle, atol=1e-9)
 
 
-def test_glass_of_air_and_wedges_against_each_other_bend_nothing():
+def test_glass_of_air_and_wedges_against_each_other_bend_nothing() -> None:
     air = wedges(Prism(rate_hz=7.0, wedge_deg=20.0, refraction=1.0))
     np.testing.assert_allclose(thrown(air, np.linspace(0.0, 1.0, 50)), 0.0, atol=1e-5)
     # Slanted faces inside, thick ends opposite: a plate with plane parallel faces, cut through its middle.
@@ -64,7 +64,7 @@ def test_glass_of_air_and_wedges_against_each_other_bend_nothing():
 
 
 @pytest.mark.parametrize(("name", "width", "height"), [("livox-mid-70", 70.4, 70.4), ("livox-avia", 70.4, 77.2)])
-def test_the_rosette_has_the_field_of_view_of_the_datasheet(name, width, height):
+def test_the_rosette_has_the_field_of_view_of_the_datasheet(name: str, width: float, height: float) -> None:
     x, y, z = pattern(name, 20)
     assert np.ptp(np.degrees(np.arctan2(y, x))) == pytest.approx(width, abs=1.2)
     assert np.ptp(np.degrees(np.arcsin(z))) == pytest.approx(height, abs=1.2)
@@ -72,7 +72,7 @@ def test_the_rosette_has_the_field_of_view_of_the_datasheet(name, width, height)
 
 
 @pytest.mark.parametrize("name", ["livox-mid-70", "livox-avia"])
-def test_the_rosette_does_not_repeat_and_fills_its_field_of_view(name):
+def test_the_rosette_does_not_repeat_and_fills_its_field_of_view(name: str) -> None:
     seen, covered = set(), []
     for sweep in range(10):
         seen |= cells(pattern(name, 1, first=sweep), 0.5)
@@ -83,27 +83,27 @@ def test_the_rosette_does_not_repeat_and_fills_its_field_of_view(name):
     assert len(inside & cells(pattern(name, 10), 1.0)) > 0.99 * len(inside)
 
 
-def test_a_rosette_depends_on_the_time_and_a_spinning_head_does_not():
+def test_a_rosette_depends_on_the_time_and_a_spinning_head_does_not() -> None:
     rosette, spinning = get_lidar("livox-avia"), get_lidar("vlp-16")
     assert not np.allclose(beams_of(rosette, 1.0).axis, beams_of(rosette, 1.1).axis)
     assert beams_of(spinning, 1.0) is beams_of(spinning, 1.1)
     np.testing.assert_array_equal(beams_of(rosette, 1.0).axis, beams_of(rosette, 1.0).axis)
 
 
-def test_the_pattern_continues_smoothly_from_sweep_to_sweep():
+def test_the_pattern_continues_smoothly_from_sweep_to_sweep() -> None:
     first, then = (beams_of(get_lidar("livox-mid-70"), t).axis[:, 0, :10_000] for t in (3.0, 3.1))
     step = np.linalg.norm(np.diff(np.concatenate([first[:, -3:], then[:, :3]], axis=1), axis=1), axis=0)
     np.testing.assert_allclose(step, step.mean(), rtol=0.05)
 
 
-def test_the_lines_of_the_avia_are_spread_over_seven_degrees():
+def test_the_lines_of_the_avia_are_spread_over_seven_degrees() -> None:
     spec = get_lidar("livox-avia")
     still = msgspec.structs.replace(spec, prisms=(Prism(rate_hz=1.0, wedge_deg=10.0, refraction=1.0),))
     _, elevation = rosette_axes(still, np.zeros((6, 1)))
     np.testing.assert_allclose(np.degrees(elevation[:, 0]), spec.elevation_deg, atol=1e-9)
 
 
-def test_wedges_that_reflect_the_beam_totally_are_refused():
+def test_wedges_that_reflect_the_beam_totally_are_refused() -> None:
     spec = wedges(Prism(rate_hz=1.0, wedge_deg=44.0, refraction=1.51, slanted_exit=True))
     with pytest.raises(SettingsError, match=r"livox-mid-70': prisms: .*, found total reflection"):
         beams_of(spec, 0.0)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
+import pytest
 
 from sensors.optics.beams import BLOCK
 from sensors.optics.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE, UP
@@ -63,7 +64,7 @@ def _sensor(request: SweepRequest, column) -> np.ndarray:
     return (1.0 - share) * request.knots[block] + share * request.knots[block + 1]
 
 
-def _seen(static, bodies, request, pose, time_s, ring, column, ray):
+def _seen(static, bodies, request: pytest.FixtureRequest, pose, time_s, ring, column, ray):
     """Return distance (inf where nothing is), cosine, material and object of one sub-ray of all beams."""
     axis = request.beams.subray[ray, :, ring, column].astype(float)
     x, y, z = axis.T

@@ -10,6 +10,7 @@ import threading
 import time
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -40,27 +41,27 @@ def sweep_by(engine):
 
 
 @pytest.fixture
-def untried(monkeypatch):
+def untried(monkeypatch: pytest.MonkeyPatch) -> None:
     """No engine has been opened yet, and the user asks for none; `library` is loaded anew."""
     monkeypatch.delenv(choice.VARIABLE, raising=False)
     monkeypatch.setattr(choice, "_fused", lru_cache(maxsize=2)(choice._fused.__wrapped__))
     monkeypatch.setattr(fused, "library", embree.library.__wrapped__)
 
 
-def missing(monkeypatch):
+def missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(embree, "_NAMES", ("libembree5.so",))
 
 
-def of_another_version(monkeypatch):
+def of_another_version(monkeypatch: pytest.MonkeyPatch) -> None:
     # Where the library is asked for its version it says how many packets of 16 rays it traces natively: 0 or 1.
     monkeypatch.setattr(embree, "_VERSION", embree._NATIVE_WIDTHS[16])
 
 
-def not_loadable(monkeypatch):
+def not_loadable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(embree._SIGNATURES, "rtcNewTelescope", (None, ()))
 
 
-def with_other_points(monkeypatch):
+def with_other_points(monkeypatch: pytest.MonkeyPatch) -> None:
     right = fused.FusedEngine.sweep
 
     def wrong(*args):
@@ -79,8 +80,8 @@ FAULTS = {
 
 @pytest.mark.parametrize(("fault", "says"), FAULTS.items(), ids=lambda value: getattr(value, "__name__", ""))
 def test_where_the_fused_engine_cannot_run_the_public_one_makes_the_same_points(
-    untried, monkeypatch, caplog, fault, says
-):
+    untried, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, fault, says
+) -> None:
     expected_name, expected = sweep_by("fused")
     assert expected_name == "fused"
     choice._fused.cache_clear()
@@ -100,7 +101,7 @@ def test_where_the_fused_engine_cannot_run_the_public_one_makes_the_same_points(
         np.testing.assert_array_equal(getattr(made, field), getattr(expected, field))
 
 
-def test_engines_that_work_pass_the_self_test(untried, caplog):
+def test_engines_that_work_pass_the_self_test(untried, caplog: pytest.LogCaptureFixture) -> None:
     assert open_engine().name == "fused"
     assert not caplog.messages
 
@@ -108,7 +109,7 @@ def test_engines_that_work_pass_the_self_test(untried, caplog):
 class Faulty:
     """The public engine, but for a fault in what it is asked or in what it answers."""
 
-    def __init__(self, spec=None, answer=None):
+    def __init__(self, spec=None, answer=None) -> None:
         self._spec = spec or {}
         self._answer = answer or (lambda returns: returns)
 
@@ -116,7 +117,7 @@ class Faulty:
         made = open_engine("public").sweep(static, bodies, [self._changed(request) for request in requests], threads)
         return [self._answer(returns) for returns in made]
 
-    def _changed(self, request):
+    def _changed(self, request: pytest.FixtureRequest):
         spec = msgspec.structs.replace(request.spec, **self._spec)
         return replace(request, spec=spec, beams=beams_of(spec, 0.0), optics=optics_of(spec))
 
@@ -149,7 +150,7 @@ def scaled(field, by):
         Faulty(answer=lambda returns: replace(returns, points=returns.points[:, [1, 0, 2]])),
     ],
 )
-def test_an_engine_that_gets_one_thing_wrong_fails_the_self_test(fault):
+def test_an_engine_that_gets_one_thing_wrong_fails_the_self_test(fault) -> None:
     with pytest.raises(EngineUnavailable, match="self-test failed"):
         selftest.self_test(fault, open_engine("public"))
 
@@ -159,7 +160,7 @@ CACHES = {"none": "NullCache", "writable": "FunctionCache"}
 
 
 @pytest.mark.parametrize("home", CACHES)
-def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp_path, home):
+def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp_path: Path, home) -> None:
     """A regular file in place of each folder keeps even the superuser from writing there."""
     package = shutil.copytree(ROOT / "sensors", tmp_path / "sensors", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "sim", tmp_path / "sim", ignore=shutil.ignore_patterns("__pycache__"))
@@ -180,13 +181,13 @@ def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp
     assert result.stderr.count("each process compiles them anew") == (home == "none")
 
 
-def test_an_interrupted_move_of_the_bodies_is_done_anew(monkeypatch):
+def test_an_interrupted_move_of_the_bodies_is_done_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = RayScene(ground(), body_mesh=box_body, engine="fused")
     here, there = (scene.with_bodies(cars([[x, 0.0, 0.0]])) for x in (8.0, 20.0))
     expected = scan(here, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
     move = fused.place_bodies
 
-    def interrupted(*args):
+    def interrupted(*args) -> None:
         move(*args)
         raise KeyboardInterrupt
 
@@ -200,7 +201,7 @@ def test_an_interrupted_move_of_the_bodies_is_done_anew(monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals cannot be sent to a thread here")
-def test_an_interrupted_sweep_keeps_its_lock_until_its_workers_have_stopped(monkeypatch):
+def test_an_interrupted_sweep_keeps_its_lock_until_its_workers_have_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = RayScene(ground(), body_mesh=box_body, engine="fused")
     path = motion.Path.through([-0.05, 0.05], [SENSOR, SENSOR])
     sensor = Sensor(get_lidar("debug-16"), path, 0.0, np.random.default_rng(0))
@@ -213,7 +214,7 @@ def test_an_interrupted_sweep_keeps_its_lock_until_its_workers_have_stopped(monk
         ended.append(threading.get_ident())
         return make(*args)
 
-    def impatient():
+    def impatient() -> None:
         for _ in range(2):
             time.sleep(0.1)
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)

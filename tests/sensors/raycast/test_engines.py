@@ -57,7 +57,7 @@ SPECS = {
 
 
 @pytest.fixture(params=ENGINES)
-def engine(request):
+def engine(request: pytest.FixtureRequest):
     return open_engine(request.param)
 
 
@@ -99,7 +99,7 @@ def scan_in(engine, spec: LidarSpec, threads: int = 1):
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_an_engine_measures_what_the_definition_says(engine, name):
+def test_an_engine_measures_what_the_definition_says(engine, name) -> None:
     spec = msgspec.structs.replace(EIGHT, **SPECS[name])
     made, expected = scan_in(engine, spec), scan_in(Oracle(), spec)
     assert len(expected) > 0.1 * spec.rings * spec.columns
@@ -124,7 +124,9 @@ def test_an_engine_measures_what_the_definition_says(engine, name):
 
 
 @pytest.mark.parametrize("wide", [{"angle_noise_deg": 3.0}, {"subrays": 8, "divergence_rad": 0.1, "returns": "dual"}])
-def test_steep_beams_that_are_tilted_or_divided_meet_every_body(engine, wide):
+def test_steep_beams_that_are_tilted_or_divided_meet_every_body(
+    engine, wide: dict[str, float] | dict[str, float | str]
+) -> None:
     """Aside by 3 degrees is 17 degrees of azimuth for a beam that points 80 degrees down."""
     steep = {"elevation_deg": (-50.0, -60.0, -66.0, -70.0, -74.0, -77.0, -80.0, -82.0), "columns": 400}
     spec = msgspec.structs.replace(EIGHT, range_noise_m=0.0, range_10_m=100.0, pulse_s=1e-9, **steep, **wide)
@@ -143,7 +145,7 @@ def test_steep_beams_that_are_tilted_or_divided_meet_every_body(engine, wide):
     assert (seen[0] != seen[1]).sum() <= 3
 
 
-def test_the_number_of_threads_and_of_sensors_changes_no_byte(engine):
+def test_the_number_of_threads_and_of_sensors_changes_no_byte(engine) -> None:
     spec = msgspec.structs.replace(EIGHT, columns=3000, subrays=4, divergence_rad=0.02, returns="dual")
     plain = msgspec.structs.replace(EIGHT, columns=9000)
     sensors = [lambda: sensor_of(spec), lambda: sensor_of(plain, 1), lambda: sensor_of(spec, 2, None)]
@@ -154,7 +156,7 @@ def test_the_number_of_threads_and_of_sensors_changes_no_byte(engine):
             assert len({getattr(sweep, field).tobytes() for sweep in sweeps}) == 1
 
 
-def test_bodies_that_move_equal_bodies_baked_into_the_world(engine):
+def test_bodies_that_move_equal_bodies_baked_into_the_world(engine) -> None:
     rng = np.random.default_rng(3)
     rows = np.column_stack([rng.uniform(-40, 40, (30, 2)), rng.uniform(-3, 3, 30)])
     actors = cars(rows[np.hypot(rows[:, 0], rows[:, 1]) > 4.0])
@@ -176,7 +178,7 @@ def test_bodies_that_move_equal_bodies_baked_into_the_world(engine):
     assert len(np.unique(a.object_id)) > 15
 
 
-def test_a_sensor_above_a_body_sees_it_all_around(engine):
+def test_a_sensor_above_a_body_sees_it_all_around(engine) -> None:
     scene = RayScene(box((200, 200, 0.1)), body_mesh=box_body)
     scene.engine = engine
     scene = scene.with_bodies(cars([[0.0, 0.0, 0.3]], size=(12.0, 6.0, 3.0)))
@@ -188,7 +190,7 @@ def test_a_sensor_above_a_body_sees_it_all_around(engine):
     assert (sweep.object_id[low] == 1000).all()
 
 
-def test_a_body_of_the_same_shape_is_met_where_each_of_them_is(engine):
+def test_a_body_of_the_same_shape_is_met_where_each_of_them_is(engine) -> None:
     """Two cars share one solid."""
     spec = msgspec.structs.replace(EIGHT, columns=720)
     scene = RayScene(ground(), body_mesh=box_body)
@@ -212,7 +214,7 @@ def rays(directions):
     return (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).astype(np.float32)
 
 
-def test_distances_to_a_box_from_inside_are_exact(engine):
+def test_distances_to_a_box_from_inside_are_exact(engine) -> None:
     mesh = trimesh.creation.box((4.0, 6.0, 8.0))
     directions = rays([[1, 0, 0], [0, 1, 0], [0, 0, -1]])
     hits = engine.cast(solid_of(mesh), np.zeros((3, 3), np.float32), directions, np.full(3, 99.0, np.float32))
@@ -221,7 +223,7 @@ def test_distances_to_a_box_from_inside_are_exact(engine):
     np.testing.assert_allclose(mesh.face_normals[hits.face], -directions * [-1, -1, -1], atol=1e-6)
 
 
-def test_rays_aimed_at_shared_edges_never_leak(engine):
+def test_rays_aimed_at_shared_edges_never_leak(engine) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
     ends = mesh.vertices[mesh.edges_unique]
     share = np.linspace(0.1, 0.9, 9)[:, None, None]
@@ -231,7 +233,7 @@ def test_rays_aimed_at_shared_edges_never_leak(engine):
     assert (hits.face >= 0).all()
 
 
-def test_reach_ends_a_ray_and_is_not_changed(engine):
+def test_reach_ends_a_ray_and_is_not_changed(engine) -> None:
     reach = np.array([4.0, 6.0], np.float32)
     directions = rays([[1, 0, 0], [1, 0, 0]])
     hits = engine.cast(solid_of(trimesh.creation.box((10.0,) * 3)), np.zeros((2, 3), np.float32), directions, reach)
@@ -241,7 +243,7 @@ def test_reach_ends_a_ray_and_is_not_changed(engine):
     assert hits.cosine[0] == 0.0
 
 
-def test_zero_and_nan_directions_miss(engine):
+def test_zero_and_nan_directions_miss(engine) -> None:
     directions = np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [1.0, 0.0, 0.0]], np.float32)
     reach = np.full(3, 9.0, np.float32)
     hits = engine.cast(solid_of(trimesh.creation.box((4.0,) * 3)), np.zeros((3, 3), np.float32), directions, reach)
@@ -249,7 +251,7 @@ def test_zero_and_nan_directions_miss(engine):
     assert hits.distance.tolist() == [9.0, 9.0, 2.0]
 
 
-def test_no_triangles_and_no_rays_are_legal(engine):
+def test_no_triangles_and_no_rays_are_legal(engine) -> None:
     empty = Solid(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8))
     hits = engine.cast(empty, np.zeros((1, 3), np.float32), rays([[1, 0, 0]]), np.ones(1, np.float32))
     assert hits.face.tolist() == [-1]
@@ -257,7 +259,7 @@ def test_no_triangles_and_no_rays_are_legal(engine):
     assert len(engine.cast(empty, none, none, np.zeros(0, np.float32)).distance) == 0
 
 
-def test_a_solid_is_known_by_identity(engine):
+def test_a_solid_is_known_by_identity(engine) -> None:
     """A solid that takes the place of another one in memory is not taken for it."""
     directions, origin, reach = rays([[1, 0, 0]]), np.zeros((1, 3), np.float32), np.full(1, 99.0, np.float32)
     for side in range(2, 30):
@@ -265,7 +267,7 @@ def test_a_solid_is_known_by_identity(engine):
         assert hits.distance[0] == side / 2
 
 
-def test_a_world_without_triangles_holds_its_bodies(engine):
+def test_a_world_without_triangles_holds_its_bodies(engine) -> None:
     scene = RayScene(None, body_mesh=box_body)
     scene.engine = engine
     sweep = scan_all(scene.with_bodies(*traffic()), [replace(sensor_of(EIGHT), rides_on=None)])[0]

@@ -33,7 +33,9 @@ def not_again(*_: object, **__: object) -> None:
     raise AssertionError("proven again")
 
 
-def test_another_process_proves_an_encounter_for_all_later_ones(empty_cache: Path, monkeypatch) -> None:
+def test_another_process_proves_an_encounter_for_all_later_ones(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     env = {**os.environ, "DSRC_CACHE": str(empty_cache), "PYTHONPATH": str(ROOT)}
     told = subprocess.run([sys.executable, "-c", PROVE], env=env, capture_output=True, text=True, check=True).stdout
     monkeypatch.setattr(encounter_check, "prove_encounter", not_again)
@@ -44,7 +46,7 @@ def test_another_process_proves_an_encounter_for_all_later_ones(empty_cache: Pat
     assert prove_encounter(found, SEED, hurry=True) == find_encounter(eebl(), SEED).proof
 
 
-def test_a_control_takes_the_draw_of_its_encounter(empty_cache: Path, monkeypatch) -> None:
+def test_a_control_takes_the_draw_of_its_encounter(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     draw = with_proven_encounter(eebl(), SEED).conflict.draw
     monkeypatch.setattr(encounter_check, "prove_encounter", not_again)
     bare = eebl(":no_occluder")
@@ -53,7 +55,9 @@ def test_a_control_takes_the_draw_of_its_encounter(empty_cache: Path, monkeypatc
 
 
 @pytest.mark.parametrize("change", ["seed", "settings", "code"])
-def test_whatever_decides_a_proof_has_it_made_again(empty_cache: Path, monkeypatch, change: str) -> None:
+def test_whatever_decides_a_proof_has_it_made_again(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, change: str
+) -> None:
     with_proven_encounter(eebl(), SEED)
     scenario, seed = eebl(), SEED
     if change == "seed":
@@ -83,7 +87,7 @@ def test_without_an_encounter_nothing_is_proven(empty_cache: Path) -> None:
     assert not (empty_cache / "encounters").exists()
 
 
-def test_a_cache_that_cannot_be_written_to_costs_time_alone(empty_cache: Path, monkeypatch) -> None:
+def test_a_cache_that_cannot_be_written_to_costs_time_alone(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError("read-only")
 

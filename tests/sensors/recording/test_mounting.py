@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ def unit(x, y, z=5.0, **changes):
     return RoadsideUnit(xyz_m=(x, y, z), lidar="debug-16", **changes)
 
 
-def test_units_stand_above_the_ground_that_is_there():
+def test_units_stand_above_the_ground_that_is_there() -> None:
     static = ground() + box((4.0, 4.0, 1.0), (10.0, 0.0, 8.0))
     static.apply_translation([0.0, 0.0, 80.0])
     below_roof, free = place_roadside(scene_of(static), (unit(10.0, 0.0), unit(30.0, 9.0, 6.5)))
@@ -25,12 +27,12 @@ def test_units_stand_above_the_ground_that_is_there():
     assert free.world_from_body[2, 3] == pytest.approx(80.0, abs=1e-3)
 
 
-def test_units_of_a_world_without_ground_stand_at_zero():
+def test_units_of_a_world_without_ground_stand_at_zero() -> None:
     assert place_roadside(scene_of(), (unit(3.0, 4.0),))[0].world_from_lidar[2, 3] == 5.0
     assert place_roadside(scene_of(), ()) == ()
 
 
-def test_units_far_apart_stand_on_their_own_ground():
+def test_units_far_apart_stand_on_their_own_ground() -> None:
     static, far = ground(100.0), ground(100.0, center=(40_000.0, 300.0))
     far.apply_translation([0.0, 0.0, 123.456])
     near_unit, far_unit = place_roadside(scene_of(static + far), (unit(3.0, 4.0), unit(40_003.0, 304.0)))
@@ -38,7 +40,7 @@ def test_units_far_apart_stand_on_their_own_ground():
     assert far_unit.world_from_lidar[2, 3] == pytest.approx(128.456, abs=1e-4)
 
 
-def test_units_beside_a_hilly_road_stand_at_its_height(tmp_path):
+def test_units_beside_a_hilly_road_stand_at_its_height(tmp_path: Path) -> None:
     units = tuple(unit(x, y, 4.5) for x, y in ((40.0, 12.0), (95.0, -12.0), (235.0, 40.0), (137.0, 80.0)))
     scenario = hilly_scenario(tmp_path, units)
     scene = RayScene(build_world(scenario, 1))

@@ -21,7 +21,7 @@ def recording_of(frames=3, seed=1, gone_at=None, scenario=None, **more):
     return record(traffic, ground(1000.0), scenario, seed, frames, body_mesh=box_body, **more)
 
 
-def test_every_agent_has_every_frame_at_the_same_instant():
+def test_every_agent_has_every_frame_at_the_same_instant() -> None:
     recording = recording_of(frames=4)
     frames = list(recording)
     assert [f.index for f in frames] == [0, 1, 2, 3]
@@ -33,7 +33,7 @@ def test_every_agent_has_every_frame_at_the_same_instant():
         assert {agent.sweep.time_s for agent in frame.agents} == {frame.time_s}
 
 
-def test_a_longer_drive_begins_with_the_same_traffic_and_may_have_another_ego():
+def test_a_longer_drive_begins_with_the_same_traffic_and_may_have_another_ego() -> None:
     gone_at = {1000: 6, 1002: 6}
     short, long = (recording_of(frames=frames, seed=3, gone_at=gone_at) for frames in (3, 9))
     for first, second in zip(short.steps[:3], long.steps[:3], strict=True):
@@ -42,7 +42,7 @@ def test_a_longer_drive_begins_with_the_same_traffic_and_may_have_another_ego():
     assert recording_of(frames=3, seed=3, gone_at=gone_at).vehicles == short.vehicles
 
 
-def test_truth_holds_actors_near_any_agent_and_the_agents_themselves():
+def test_truth_holds_actors_near_any_agent_and_the_agents_themselves() -> None:
     frame = recording_of().frame(0)
     assert frame.truth.object_id.tolist() == [1000, 1001, 1002, 1003]
     agents = np.array([agent.world_from_body[:2, 3] for agent in frame.agents])
@@ -52,7 +52,7 @@ def test_truth_holds_actors_near_any_agent_and_the_agents_themselves():
         assert agent.agent_id in frame.truth.object_id
 
 
-def test_counts_are_of_the_sweeps_and_zero_on_the_own_body():
+def test_counts_are_of_the_sweeps_and_zero_on_the_own_body() -> None:
     frame = recording_of().frame(1)
     for row, agent in enumerate(frame.agents):
         for column, object_id in enumerate(frame.truth.object_id):
@@ -62,7 +62,7 @@ def test_counts_are_of_the_sweeps_and_zero_on_the_own_body():
     assert frame.points_on.sum() > 0
 
 
-def test_a_frame_does_not_depend_on_the_frames_before_it():
+def test_a_frame_does_not_depend_on_the_frames_before_it() -> None:
     whole = list(recording_of(frames=3))
     resumed = recording_of(frames=3).frame(2)
     for agent, again in zip(whole[2].agents, resumed.agents, strict=True):
@@ -77,12 +77,12 @@ def test_a_frame_does_not_depend_on_the_frames_before_it():
         ({"roadside": (UNIT, RoadsideUnit(xyz_m=(0.0, 0.0, 5.0), lidar="debug16"))}, r"agents\.roadside\[1\]\.lidar"),
     ],
 )
-def test_an_unknown_sensor_is_reported_with_its_field(rule, field):
+def test_an_unknown_sensor_is_reported_with_its_field(rule, field: str) -> None:
     with pytest.raises(ScenarioError, match=rf"toy: {field}: expected a LiDAR preset, found debug16; .*'debug-16'"):
         recording_of(scenario=toy_scenario(**rule))
 
 
-def test_noise_differs_between_agents_frames_and_seeds():
+def test_noise_differs_between_agents_frames_and_seeds() -> None:
     recording = recording_of()
     first, second = recording.frame(0), recording.frame(1)
     other = recording_of(seed=2).frame(0)
@@ -90,24 +90,24 @@ def test_noise_differs_between_agents_frames_and_seeds():
     assert first.agents[-1].sweep.points.tobytes() != other.agents[-1].sweep.points.tobytes()
 
 
-def test_a_vehicle_that_leaves_is_no_agent():
+def test_a_vehicle_that_leaves_is_no_agent() -> None:
     scenario = toy_scenario(vehicles=3)
     recording = recording_of(gone_at={1001: 2}, scenario=scenario)
     assert sorted(recording.agent_ids) == [1000, 1002, 1003]
 
 
-def test_too_few_vehicles_is_one_clear_line():
+def test_too_few_vehicles_is_one_clear_line() -> None:
     with pytest.raises(ScenarioError, match=r"agents.vehicles: expected 5 .* found 4; 5 stay for 2 frames"):
         recording_of(frames=5, gone_at={1001: 2}, scenario=toy_scenario(vehicles=5))
 
 
-def test_partners_are_the_vehicles_that_stay_near():
+def test_partners_are_the_vehicles_that_stay_near() -> None:
     drive = [cars(ROWS)] * 2
     chosen = choose_agents(drive, toy_scenario(vehicles=3, within_m=40.0), np.random.default_rng(0))
     assert sorted(chosen) == [1000, 1001, 1002]
 
 
-def test_vehicles_outside_the_area_carry_no_lidar():
+def test_vehicles_outside_the_area_carry_no_lidar() -> None:
     import msgspec
 
     scenario = toy_scenario(vehicles=1)
@@ -116,11 +116,11 @@ def test_vehicles_outside_the_area_carry_no_lidar():
 
 
 @pytest.mark.parametrize(("height", "z"), [(1.5, 1.9), (3.2, 3.4)])
-def test_the_sensor_clears_the_roof(height, z):
+def test_the_sensor_clears_the_roof(height: float, z: float) -> None:
     assert mount(get_lidar("opv2v-64"), height)[2, 3] == pytest.approx(z)
 
 
-def test_a_roadside_unit_stands_on_the_ground_and_looks_down():
+def test_a_roadside_unit_stands_on_the_ground_and_looks_down() -> None:
     agent = recording_of().frame(0).agent(-1)
     assert agent.kind == "roadside"
     np.testing.assert_allclose(agent.world_from_body[:3, 3], [20.0, 8.0, 0.0], atol=1e-3)
@@ -128,7 +128,7 @@ def test_a_roadside_unit_stands_on_the_ground_and_looks_down():
     assert agent.sweep.world_from_lidar[2, 0] < 0.0
 
 
-def test_a_roadside_unit_inside_a_building_is_warned_about(caplog):
+def test_a_roadside_unit_inside_a_building_is_warned_about(caplog: pytest.LogCaptureFixture) -> None:
     place_roadside(scene_of(ground()), (UNIT,))
     assert not caplog.records
     place_roadside(scene_of(ground() + box((1.5, 1.5, 12.0), (20.0, 8.0, 6.0))), (UNIT,))
@@ -136,11 +136,11 @@ def test_a_roadside_unit_inside_a_building_is_warned_about(caplog):
 
 
 @pytest.mark.parametrize(("frames", "interval_s"), [(0, 0.1), (2, 0.15), (2, float("nan")), (2, float("inf"))])
-def test_impossible_frames_and_intervals_are_refused(frames, interval_s):
+def test_impossible_frames_and_intervals_are_refused(frames: int, interval_s) -> None:
     with pytest.raises(SettingsError):
         recording_of(frames=frames, interval_s=interval_s)
 
 
-def test_interval_may_skip_traffic_steps():
+def test_interval_may_skip_traffic_steps() -> None:
     times = [frame.time_s for frame in recording_of(frames=2, interval_s=0.3)]
     np.testing.assert_allclose(np.diff(times), 0.3)

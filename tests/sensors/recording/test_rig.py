@@ -27,7 +27,7 @@ def same_sweeps(first, second) -> bool:
     )
 
 
-def test_a_live_frame_of_straight_traffic_equals_the_recorded_one_bit_for_bit():
+def test_a_live_frame_of_straight_traffic_equals_the_recorded_one_bit_for_bit() -> None:
     scenario = toy_scenario(vehicles=3, roadside=(UNIT,), mount_xyz_m=(0.5, 0.0, 2.1), mount_pitch_deg=2.0)
     rows = [[*row[:2], 0.0] for row in ROWS]
     recording = record(
@@ -41,25 +41,25 @@ def test_a_live_frame_of_straight_traffic_equals_the_recorded_one_bit_for_bit():
         assert same_sweeps(frame, recording.frame(index))
 
 
-def test_actors_are_rounded_as_in_a_log():
+def test_actors_are_rounded_as_in_a_log() -> None:
     actors = cars([[0.123456, 0, 0.1], [12.00049, 3.5, 0]], speed=7.77777)
     rig = Rig(toy_scenario(), scene_of(ground()), 0)
     assert same_sweeps(rig.frame(0, [1000], actors), rig.frame(0, [1000], actors.rounded()))
     assert rig.frame(0, [1000], actors).truth.center[0, 0] == actors.rounded().boxes.center[0, 0]
 
 
-def test_the_sensor_sits_where_the_scenario_says():
+def test_the_sensor_sits_where_the_scenario_says() -> None:
     rig = Rig(toy_scenario(mount_xyz_m=(1.0, 0.2, 2.5)), scene_of(ground()), 0)
     pose = rig.frame(0, [1000], cars(ROWS)).agents[0].sweep.world_from_lidar
     np.testing.assert_allclose(pose[:3, 3], [1.0, 0.2, 2.5], atol=1e-3)
 
 
 @pytest.mark.parametrize(("step_s", "steps"), [(0.1, 1), (0.05, 1), (0.02, 3), (0.01, 5)])
-def test_the_margin_covers_half_a_sweep(step_s: float, steps: int):
+def test_the_margin_covers_half_a_sweep(step_s: float, steps: int) -> None:
     assert Rig(toy_scenario(), scene_of(), 0).margin(step_s) == steps
 
 
-def test_helpers_of_a_live_drive_are_the_nearest_cars_on_the_road():
+def test_helpers_of_a_live_drive_are_the_nearest_cars_on_the_road() -> None:
     actors = cars(ROWS, speed=[0.0, 5.0, 5.0, 5.0, 5.0])
     scenario = toy_scenario(vehicles=3, within_m=40.0)
     assert nearest_agents(actors, scenario, 1000) == [1000, 1001, 1002]
@@ -70,12 +70,12 @@ def test_helpers_of_a_live_drive_are_the_nearest_cars_on_the_road():
     assert nearest_agents(actors, left, 1000) == [1000, 1001]
 
 
-def test_helpers_of_a_live_drive_are_those_that_the_scenario_names():
+def test_helpers_of_a_live_drive_are_those_that_the_scenario_names() -> None:
     actors = replace(cars(ROWS), name=("ego", "a", "b", "c", "d"))
     assert nearest_agents(actors, toy_scenario(named=("ego", "d", "gone", "a")), 1000) == [1000, 1004, 1001]
 
 
-def test_a_false_actor_is_measured_by_one_agent_alone():
+def test_a_false_actor_is_measured_by_one_agent_alone() -> None:
     rig = Rig(toy_scenario(), scene_of(ground()), 0)
     now = cars([[0, 0, 0], [0, 40, 0]])
     false = cars([[12, 20, 0.3]], first_id=1000)
@@ -92,7 +92,7 @@ def test_a_false_actor_is_measured_by_one_agent_alone():
     np.testing.assert_array_equal(lied.points_on[:, :1], plain.points_on[:, :1])
 
 
-def test_a_false_actor_gives_the_points_that_a_real_one_would():
+def test_a_false_actor_gives_the_points_that_a_real_one_would() -> None:
     rig = Rig(toy_scenario(), scene_of(ground()), 0)
     traffic = StraightTraffic(cars([[0, 0, 0], [0, 40, 0], [12, 20, 0.0]], speed=[0.0, 5.0, 20.0]))
     before, now = traffic.actors, traffic.step()

@@ -17,7 +17,7 @@ from sim.errors import ScenarioError, SettingsError
 
 
 @pytest.fixture
-def town(tmp_path, monkeypatch) -> Path:
+def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder of a scenario `my_town` outside the package, and an empty registry."""
     monkeypatch.setattr(load, "_REGISTERED", Registry("dsrc.scenarios", {}, load._REGISTERED._read))
     shutil.copytree(ROOT / "four_way", tmp_path / "my_town")
@@ -26,14 +26,14 @@ def town(tmp_path, monkeypatch) -> Path:
     return tmp_path / "my_town"
 
 
-def test_a_registered_scenario_is_found_by_its_name(town):
+def test_a_registered_scenario_is_found_by_its_name(town: Path) -> None:
     assert register_scenario(town).name == "my_town"
     register_scenario(town / "scenario.toml")
     assert "my_town" in list_scenarios()
     assert load_scenario("my_town") == load_scenario(town)
 
 
-def test_a_taken_name_is_refused(town):
+def test_a_taken_name_is_refused(town: Path) -> None:
     register_scenario(town)
     other = town.with_name("other")
     shutil.copytree(town, other)
@@ -45,7 +45,7 @@ def test_a_taken_name_is_refused(town):
         register_scenario(town / "missing")
 
 
-def test_an_entry_point_names_a_folder(town, monkeypatch):
+def test_an_entry_point_names_a_folder(town: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("my_town", "my_package:MY_TOWN", "dsrc.scenarios")
     monkeypatch.setitem(load._REGISTERED.__dict__, "_installed", {"my_town": point})
     monkeypatch.setattr(EntryPoint, "load", lambda self: str(town))
@@ -56,11 +56,11 @@ def test_an_entry_point_names_a_folder(town, monkeypatch):
         load_scenario("my_town")
 
 
-def test_a_shipped_scenario_passes():
+def test_a_shipped_scenario_passes() -> None:
     check_scenario("four_way")
 
 
-def test_a_part_that_cannot_be_made_is_one_line():
+def test_a_part_that_cannot_be_made_is_one_line() -> None:
     scenario = load_scenario("four_way")
     wrong = msgspec.structs.replace(scenario, agents=msgspec.structs.replace(scenario.agents, lidar="nothing"))
     with pytest.raises(ScenarioError, match=r"^scenario 'four_way': four_way: agents\.lidar: [^\n]*$"):
@@ -69,7 +69,7 @@ def test_a_part_that_cannot_be_made_is_one_line():
         check_scenario("nowhere")
 
 
-def test_traffic_that_differs_from_run_to_run_is_named(monkeypatch):
+def test_traffic_that_differs_from_run_to_run_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     opened = module.open_traffic
     seeds = iter((1, 2))
     monkeypatch.setattr(module, "open_traffic", lambda scenario, seed: opened(scenario, next(seeds)))

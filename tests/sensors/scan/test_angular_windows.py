@@ -13,7 +13,7 @@ def columns_in(arcs: Arcs, azimuth, spread=0.0) -> set[int]:
 
 
 @pytest.mark.parametrize("azimuth", [ALL_AROUND, ALL_AROUND[::-1], ALL_AROUND[900:2700], ALL_AROUND + 2.0])
-def test_windows_hold_every_point_of_random_boxes(azimuth):
+def test_windows_hold_every_point_of_random_boxes(azimuth) -> None:
     rng = np.random.default_rng(0)
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
     for _ in range(50):
@@ -35,7 +35,7 @@ def test_windows_hold_every_point_of_random_boxes(azimuth):
         assert set(nearest.tolist()) <= columns_in(windows.arcs, azimuth)
 
 
-def test_an_arc_that_the_field_of_view_cuts_has_two_runs():
+def test_an_arc_that_the_field_of_view_cuts_has_two_runs() -> None:
     arcs = Arcs(np.array([3.0, 0.5]), np.array([0.3, 0.1]))
     arc, first, after = arcs.columns(ALL_AROUND, 0.0)
     assert arc.tolist() == [0, 0, 1]
@@ -44,14 +44,14 @@ def test_an_arc_that_the_field_of_view_cuts_has_two_runs():
     assert total == pytest.approx(0.3 / (2 * np.pi) * 3600, abs=1)
 
 
-def test_spread_widens_an_arc_on_both_sides():
+def test_spread_widens_an_arc_on_both_sides() -> None:
     arcs = Arcs(np.array([0.5]), np.array([0.1]))
     wide, narrow = columns_in(arcs, ALL_AROUND, 0.2), columns_in(arcs, ALL_AROUND)
     assert narrow < wide
     assert len(wide) - len(narrow) == pytest.approx(0.4 / (2 * np.pi) * 3600, abs=2)
 
 
-def test_a_hull_around_the_sensor_spans_all_columns():
+def test_a_hull_around_the_sensor_spans_all_columns() -> None:
     ring = np.linspace(0.0, 2 * np.pi, 8)
     surrounding = arcs_of(np.cos(ring)[None], np.sin(ring)[None], np.full((1, 1), 0.1))
     within = arcs_of(np.array([[0.5]]), np.array([[0.0]]), np.array([[2.0]]))
@@ -59,7 +59,7 @@ def test_a_hull_around_the_sensor_spans_all_columns():
         assert columns_in(arcs, ALL_AROUND) == set(range(3600))
 
 
-def test_a_disc_spans_twice_the_arcsine_of_its_radius_over_its_distance():
+def test_a_disc_spans_twice_the_arcsine_of_its_radius_over_its_distance() -> None:
     arcs = arcs_of(np.array([[10.0]]), np.array([[0.0]]), np.array([[1.0]]))
     assert arcs.width[0] == pytest.approx(2 * np.arcsin(0.1), abs=0.01)
     assert arcs.start[0] == pytest.approx(-np.arcsin(0.1), abs=0.005)

@@ -21,7 +21,7 @@ def frame_of(rows, agents, world=None, tall=()):
     return rig.frame(0, [1000 + row for row in agents], actors), scene
 
 
-def test_an_open_line_is_free_and_a_truck_blocks_it():
+def test_an_open_line_is_free_and_a_truck_blocks_it() -> None:
     rows = [(-20, 0, 0), (0, 0, 0), (20, 0, 0)]
     low, _ = frame_of(rows, [0, 2])  # antennas look over a car
     assert low.sight.tolist() == [[0, 0], [0, 0]]
@@ -29,12 +29,12 @@ def test_an_open_line_is_free_and_a_truck_blocks_it():
     assert high.sight.tolist() == [[0, Obstruction.VEHICLE], [Obstruction.VEHICLE, 0]]
 
 
-def test_an_agent_does_not_block_its_own_line():
+def test_an_agent_does_not_block_its_own_line() -> None:
     frame, _ = frame_of([(-20, 0, 0), (20, 0, 0)], [0, 1], tall=[0, 1])
     assert (frame.sight == Obstruction.FREE).all()
 
 
-def test_a_building_takes_precedence_over_a_vehicle():
+def test_a_building_takes_precedence_over_a_vehicle() -> None:
     world = trimesh.util.concatenate([ground(), WALL])
     world.face_attributes["material"] = np.zeros(len(world.faces), np.uint8)
     rows = [(-20, 40, 0), (20, 40, 0), (8, 40, 0), (20, 10, 0), (-20, 10, 0)]
@@ -46,12 +46,12 @@ def test_a_building_takes_precedence_over_a_vehicle():
     np.testing.assert_array_equal(frame.sight, frame.sight.T)
 
 
-def test_without_a_world_only_vehicles_block():
+def test_without_a_world_only_vehicles_block() -> None:
     frame, scene = frame_of([(-20, 0, 0), (0, 0, 0), (20, 0, 0)], [0, 2], tall=[1])
     np.testing.assert_array_equal(lines_of_sight(None, frame), lines_of_sight(scene, frame))
 
 
-def test_a_box_beside_or_beyond_the_line_does_not_block():
+def test_a_box_beside_or_beyond_the_line_does_not_block() -> None:
     for place in [(0, 3, 0), (40, 0, 0), (-40, 0, 0), (0, 1.6, 0.0)]:
         frame, _ = frame_of([(-20, 0, 0), place, (20, 0, 0)], [0, 2], tall=[1])
         assert (frame.sight == Obstruction.FREE).all(), place

@@ -21,7 +21,7 @@ REACH_M = 100.0
 
 
 @pytest.fixture
-def cut_small(monkeypatch):
+def cut_small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every world be cut into tiles."""
     monkeypatch.setattr(tiles, "WHOLE_FACES", 0)
 
@@ -51,7 +51,7 @@ def sweep_at(scene, x, y, z=2.0, offset=(0.0, 0.0, 0.0), **changes):
     return scan(scene, ideal(range_max_m=REACH_M, **changes), pose, pose, 0.0, np.random.default_rng(0))
 
 
-def assert_same(one, other):
+def assert_same(one, other) -> None:
     np.testing.assert_array_equal(one.ring, other.ring)
     np.testing.assert_array_equal(one.column, other.column)
     np.testing.assert_array_equal(one.object_id, other.object_id)
@@ -73,7 +73,7 @@ PLACES = [(0.0, 0.0), (TILE_M, -TILE_M), (-777.0, 703.0), (124.9, 249.95), (2300
 
 
 @pytest.mark.parametrize(("x", "y"), PLACES)
-def test_a_sweep_through_tiles_equals_one_through_the_whole(monkeypatch, x, y):
+def test_a_sweep_through_tiles_equals_one_through_the_whole(monkeypatch: pytest.MonkeyPatch, x, y) -> None:
     mesh, traffic = town(), cars([[x + 9.0, y, 0.4], [x, y - 6.0, 2.0]])
     # The whole is exact near its middle only: far stones put that where the sensor is.
     stones = [box((1.0, 1.0, 1.0), (x + away, y + away, -50.0)) for away in (-9000.0, 9000.0)]
@@ -86,7 +86,7 @@ def test_a_sweep_through_tiles_equals_one_through_the_whole(monkeypatch, x, y):
     assert_same(sweep, sweep_at(whole, x, y))
 
 
-def test_a_tiled_world_500_km_away_gives_the_same_sweep(cut_small):
+def test_a_tiled_world_500_km_away_gives_the_same_sweep(cut_small) -> None:
     offset = np.array([481_234.5, 5_703_210.75, 512.0])
     there = cars([[9.0, 4.0, 0.4]])
     there.boxes.center[:] += offset
@@ -95,7 +95,7 @@ def test_a_tiled_world_500_km_away_gives_the_same_sweep(cut_small):
     assert_same(sweep_at(far, 3.0, 1.0, offset=offset), sweep_at(near, 3.0, 1.0))
 
 
-def test_the_tiles_in_use_depend_on_the_places_alone(cut_small):
+def test_the_tiles_in_use_depend_on_the_places_alone(cut_small) -> None:
     mesh = town(houses=60)
     places = np.array([[10.0, 20.0], [480.0, -333.0]])
     fresh, used = world_of(mesh), world_of(mesh)
@@ -106,7 +106,7 @@ def test_the_tiles_in_use_depend_on_the_places_alone(cut_small):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_the_same_solid_serves_while_the_sensors_stay_in_their_tiles(cut_small):
+def test_the_same_solid_serves_while_the_sensors_stay_in_their_tiles(cut_small) -> None:
     world = world_of(town(houses=60))
     solid = world.around(np.array([[1.0, 1.0], [300.0, 1.0]]), REACH_M)
     assert world.around(np.array([[2.0, 249.0], [499.0, 30.0]]), REACH_M) is solid
@@ -114,14 +114,14 @@ def test_the_same_solid_serves_while_the_sensors_stay_in_their_tiles(cut_small):
     assert world.around(np.array([[9.0, 100.0], [301.0, 100.0]]), REACH_M) is solid
 
 
-def test_a_small_world_is_one_solid_wherever_its_sensors_are():
+def test_a_small_world_is_one_solid_wherever_its_sensors_are() -> None:
     world = world_of(ground(600.0))
     solid = world.around(np.array([[0.0, 0.0]]), REACH_M)
     assert world.around(np.array([[-290.0, 100.0], [380.0, 3.0]]), REACH_M) is solid
     assert len(world.around(np.array([[80_000.0, 0.0]]), REACH_M).faces) == 0
 
 
-def test_unused_solids_are_dropped(cut_small):
+def test_unused_solids_are_dropped(cut_small) -> None:
     world = world_of(town(houses=60))
     old = weakref.ref(world.around(np.zeros((1, 2)), REACH_M))
     assert old() is not None
@@ -131,7 +131,7 @@ def test_unused_solids_are_dropped(cut_small):
     assert old() is None
 
 
-def test_the_origin_is_near_the_sensors_and_few_triangles_are_far(cut_small):
+def test_the_origin_is_near_the_sensors_and_few_triangles_are_far(cut_small) -> None:
     mesh = town(offset=(90_000.0, 0.0, 300.0))
     solid = world_of(mesh).around(np.array([[90_100.0, 50.0]]), REACH_M)
     assert np.abs(solid.origin[:2] - [90_100.0, 50.0]).max() <= TILE_M
@@ -139,7 +139,7 @@ def test_the_origin_is_near_the_sensors_and_few_triangles_are_far(cut_small):
     assert 0 < len(solid.faces) < 0.4 * len(mesh.faces)
 
 
-def test_tiles_meet_without_a_seam(cut_small):
+def test_tiles_meet_without_a_seam(cut_small) -> None:
     rng = np.random.default_rng(2)
     x, y = np.meshgrid(np.linspace(-400.0, 400.0, 60), np.linspace(-400.0, 400.0, 60))
     places = (
@@ -155,7 +155,7 @@ def test_tiles_meet_without_a_seam(cut_small):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_no_triangle_within_reach_is_lost(seed):
+def test_no_triangle_within_reach_is_lost(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = 10.0 ** rng.uniform(-1.0, 3.8, (40, 1, 1))
     triangles = rng.uniform(-2000, 2000, (40, 1, 3)) * [1, 1, 0.01] + size * rng.normal(size=(40, 3, 3))
@@ -179,7 +179,7 @@ def test_no_triangle_within_reach_is_lost(seed):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_rays_through_tiles_meet_what_rays_through_the_whole_meet(seed):
+def test_rays_through_tiles_meet_what_rays_through_the_whole_meet(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = 10.0 ** rng.uniform(0.0, 2.8, (300, 1, 1))
     triangles = rng.uniform(-600, 600, (300, 1, 3)) * [1, 1, 0.03] + size * rng.normal(size=(300, 3, 3)) * [1, 1, 0.1]
@@ -200,7 +200,7 @@ def test_rays_through_tiles_meet_what_rays_through_the_whole_meet(seed):
     assert (whole.face >= 0).sum() > 20 and differs.sum() <= 1
 
 
-def test_sensors_30_km_apart_see_their_own_surroundings_exactly():
+def test_sensors_30_km_apart_see_their_own_surroundings_exactly() -> None:
     places = np.array([[0.0, 0.0], [30_000.0, 11.0]])
     mesh = ground(40.0) + box((6.0, 6.0, 8.0), (12.3, 0.0, 4.0))
     far = mesh.copy()
@@ -217,13 +217,13 @@ def test_sensors_30_km_apart_see_their_own_surroundings_exactly():
     np.testing.assert_allclose(scene.ground_height(np.array([[3.0, 3.0], [30_003.0, 3.0]])), 0.0, atol=1e-5)
 
 
-def test_places_are_grouped_with_their_neighbours():
+def test_places_are_grouped_with_their_neighbours() -> None:
     places = np.array([[0.0, 0.0], [30_000.0, 0.0], [450.0, -450.0], [30_500.0, 0.0], [0.0, 501.0]])
     assert [group.tolist() for group in together(places)] == [[0, 2], [1, 3], [4]]
     assert together(np.zeros((0, 2))) == []
 
 
-def test_an_empty_world_is_seen_by_no_ray_but_its_bodies_are_exactly():
+def test_an_empty_world_is_seen_by_no_ray_but_its_bodies_are_exactly() -> None:
     assert len(sweep_at(scene_of(), 0.0, 0.0).points) == 0
     offset = np.array([481_234.5, 5_703_210.75, 0.0])
     there = cars([[9.0, 4.0, 0.4]])
@@ -235,7 +235,7 @@ def test_an_empty_world_is_seen_by_no_ray_but_its_bodies_are_exactly():
     assert near.ground_height(np.array([[1.0, 2.0]])).tolist() == [0.0]
 
 
-def test_a_broken_mesh_is_refused():
+def test_a_broken_mesh_is_refused() -> None:
     mesh = ground()
     mesh.vertices[2, 1] = np.nan
     with pytest.raises(DataError, match=r"static world: vertices: expected finite coordinates, found .*nan.* in row 2"):
@@ -263,7 +263,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("mesh", "found"), BROKEN.values(), ids=BROKEN)
-def test_a_broken_mesh_is_refused_as_world_and_as_body(mesh, found):
+def test_a_broken_mesh_is_refused_as_world_and_as_body(mesh, found) -> None:
     with pytest.raises(DataError, match=f"static world: {found}"):
         RayScene(mesh)
     scene = RayScene(None, body_mesh=lambda model, size: mesh)

@@ -51,17 +51,17 @@ def fractions(scene: RayScene, sensor: Sensor | None = None) -> np.ndarray:
 
 @pytest.mark.parametrize("spec", [FINE, ideal("debug-16"), ideal("livox-avia")])
 @pytest.mark.parametrize("world", [None, ground()])
-def test_an_object_alone_is_seen_wholly(world, spec):
+def test_an_object_alone_is_seen_wholly(world, spec) -> None:
     scene = scene_of(world, cars([[12.0, 1.0, 0.4]], speed=12.0))
     assert fractions(scene, sensor_at(spec=spec)).tolist() == [1.0]
 
 
-def test_an_object_behind_a_wall_is_not_seen():
+def test_an_object_behind_a_wall_is_not_seen() -> None:
     scene = scene_of(box((0.2, 40.0, 10.0), (8.0, 0.0, 5.0)), cars([[12.0, 0, 0], [-12.0, 0, 0]]))
     assert fractions(scene).tolist() == [0.0, 1.0]
 
 
-def test_half_a_wall_hides_half_of_a_panel():
+def test_half_a_wall_hides_half_of_a_panel() -> None:
     """A panel across the view from y = -4 to 4 at 20 m; a wall half as far hides what lies left of y = 0.
 
     Seen from the origin, y = 0 halves the columns on the panel.
@@ -75,7 +75,7 @@ def test_half_a_wall_hides_half_of_a_panel():
     assert fractions(hanging)[0] == pytest.approx(1.8 / 3.0, abs=0.03)
 
 
-def test_the_part_that_another_body_hides_is_the_angle_that_it_covers():
+def test_the_part_that_another_body_hides_is_the_angle_that_it_covers() -> None:
     """A panel 8 m wide at 20 m behind a box 1 m wide, whose front is at 10 m and which is taller than the view."""
     panel, pole = cars([[20.0, 0.0, np.pi / 2]], size=(8.0, 0.01, 3.0)), cars([[10.005, 0.0, 0]], size=(0.01, 1.0, 9.0))
     both = replace(
@@ -95,7 +95,7 @@ def test_the_part_that_another_body_hides_is_the_angle_that_it_covers():
     assert seen[0] == pytest.approx(1.0 - covered, abs=0.01)
 
 
-def test_without_noise_and_loss_it_is_the_share_of_the_points():
+def test_without_noise_and_loss_it_is_the_share_of_the_points() -> None:
     rows = [[15, 0.5, 0.3], [9, 1.5, 0], [-14, 4, 2.0], [-9, 2.4, 1.0], [30, -8, 0.9], [21, -6, 0]]
     crowd = cars(rows, speed=[8.0, -5.0, 3.0, 0.0, 20.0, 9.0])
     sensor = sensor_at(speed=(12.0, 1.0))
@@ -118,7 +118,7 @@ places = st.tuples(st.floats(-25, 25), st.floats(-25, 25), st.floats(-3.1, 3.1))
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(places, min_size=1, max_size=6), places, st.tuples(st.floats(-20, 20), st.floats(-20, 20)))
-def test_fractions_are_shares_and_another_occluder_never_raises_one(rows, newcomer, post):
+def test_fractions_are_shares_and_another_occluder_never_raises_one(rows, newcomer, post: tuple[float, float]) -> None:
     calm = ideal("debug-16", columns=900)
 
     def of(rows, static):
@@ -133,7 +133,7 @@ def test_fractions_are_shares_and_another_occluder_never_raises_one(rows, newcom
     assert (np.nan_to_num(walled) <= np.nan_to_num(before)).all()
 
 
-def test_noise_and_lost_points_change_nothing():
+def test_noise_and_lost_points_change_nothing() -> None:
     crowd = cars([[15, 0.5, 0.3], [9, 1.5, 0], [-14, 4, 2.0]])
     scene, calm = scene_of(ground(), crowd), ideal("opv2v-64")
     wild = ideal("opv2v-64", range_noise_m=0.3, dropoff_rate=0.7, dropoff_zero_intensity=1.0, range_10_m=20.0)
@@ -144,20 +144,20 @@ def test_noise_and_lost_points_change_nothing():
         assert np.array_equal(seen, fractions(scene, sensor_at(spec=calm)))
 
 
-def test_objects_out_of_reach_have_no_fraction():
+def test_objects_out_of_reach_have_no_fraction() -> None:
     crowd = cars([[12.0, 0, 0], [160.0, 30.0, 0], [0, 0, 0]])
     scene = scene_of(None, crowd)
     seen = visible_fraction(scene, [sensor_at(rides_on=1002)], np.array([1000, 1001, 1002, 4711]))[0]
     assert seen[0] == 1.0 and np.isnan(seen[1:]).all()
 
 
-def test_measuring_draws_no_number_of_the_sensor():
+def test_measuring_draws_no_number_of_the_sensor() -> None:
     sensor = sensor_at()
     fractions(scene_of(None, cars([[12.0, 0, 0]])), sensor)
     assert sensor.rng.random() == np.random.default_rng(0).random()
 
 
-def test_the_engines_agree():
+def test_the_engines_agree() -> None:
     crowd = cars([[15, 0.5, 0.3], [9, 1.5, 0], [-14, 4, 2.0], [-9, 2.4, 1.0]], speed=9.0)
     seen = []
     for engine in ("fused", "public"):
@@ -166,7 +166,7 @@ def test_the_engines_agree():
     np.testing.assert_allclose(*seen, atol=0.005)
 
 
-def test_a_recording_holds_fractions_in_the_order_of_its_agents_unless_switched_off():
+def test_a_recording_holds_fractions_in_the_order_of_its_agents_unless_switched_off() -> None:
     traffic = StraightTraffic(cars([[0, 0, 0], [12, 3.5, 0], [12, -3.5, 0], [24.0, -4.0, 0]]))
     world, scenario = ground(), toy_scenario(vehicles=2)
     frame = record(traffic, world, scenario, 1, 1, body_mesh=box_body).frame(0)
@@ -181,7 +181,7 @@ def test_a_recording_holds_fractions_in_the_order_of_its_agents_unless_switched_
     ).all()
 
 
-def test_what_is_nearer_than_a_beam_measures_has_no_fraction():
+def test_what_is_nearer_than_a_beam_measures_has_no_fraction() -> None:
     near_and_far = scene_of(None, cars([[6.0, 0, 0], [-12.0, 0, 0]]))
     blind = msgspec.structs.replace(FINE, range_min_m=9.0)
     seen = fractions(near_and_far, sensor_at(spec=blind))
@@ -189,7 +189,7 @@ def test_what_is_nearer_than_a_beam_measures_has_no_fraction():
 
 
 @pytest.mark.parametrize(("behind_m", "seen"), [(0.01, 1.0), (0.06, 0.0)])
-def test_a_body_that_touches_the_static_world_is_not_hidden_by_it(behind_m, seen):
+def test_a_body_that_touches_the_static_world_is_not_hidden_by_it(behind_m: float, seen: float) -> None:
     """A panel 1 m wide, straight ahead, behind the front of a wall at 10 m: tyres touch the road by 2 cm at most."""
     panel = cars([[10.005 + behind_m, 0.0, np.pi / 2]], size=(1.0, 0.01, 1.0))
     assert fractions(scene_of(box((0.5, 40.0, 10.0), (10.25, 0.0, 5.0)), panel)).tolist() == [seen]

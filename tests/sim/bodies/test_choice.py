@@ -19,13 +19,13 @@ ALL = [(name, model) for name, models in MODELS.items() for model in models] + G
 OWN = [(name, model) for name, model in ALL if not model.startswith("car-")]
 
 
-def test_every_class_has_a_model():
+def test_every_class_has_a_model() -> None:
     assert set(MODELS) == set(CLASSES) and all(models_for(name) for name in CLASSES)
     assert len({model for _, model in ALL}) == len(ALL)
 
 
 @pytest.mark.parametrize(("name", "model"), ALL)
-def test_a_mesh_is_as_large_as_its_box(name, model):
+def test_a_mesh_is_as_large_as_its_box(name, model) -> None:
     mesh = body_mesh(model, SIZE[name])
     length, width, height = SIZE[name]
     for vertices in (mesh.vertices, mesh.vertices.astype(np.float32)):
@@ -35,7 +35,7 @@ def test_a_mesh_is_as_large_as_its_box(name, model):
 
 
 @pytest.mark.parametrize(("name", "model"), ALL)
-def test_every_face_has_a_known_material(name, model):
+def test_every_face_has_a_known_material(name, model) -> None:
     mesh = body_mesh(model, SIZE[name])
     material = mesh.face_attributes["material"]
     assert material.dtype == np.uint8 and material.shape == (len(mesh.faces),)
@@ -43,7 +43,7 @@ def test_every_face_has_a_known_material(name, model):
 
 
 @pytest.mark.parametrize(("name", "model"), OWN)
-def test_own_meshes_are_closed_parts_that_face_outwards(name, model):
+def test_own_meshes_are_closed_parts_that_face_outwards(name, model) -> None:
     mesh = body_mesh(model, SIZE[name])
     parts = trimesh.graph.connected_components(mesh.edges, nodes=np.arange(len(mesh.vertices)))
     assert len(parts) > 5
@@ -54,7 +54,7 @@ def test_own_meshes_are_closed_parts_that_face_outwards(name, model):
 
 
 @pytest.mark.parametrize("name", ["car", "van", "truck", "bus", "motorcycle"])
-def test_head_lamps_are_in_front_and_tail_lamps_behind(name):
+def test_head_lamps_are_in_front_and_tail_lamps_behind(name: str) -> None:
     for model in {*models_for(name), *generic_models_for(name)}:
         mesh = body_mesh(model, SIZE[name])
         x = mesh.triangles_center[:, 0]
@@ -63,30 +63,30 @@ def test_head_lamps_are_in_front_and_tail_lamps_behind(name):
         assert x[material == material_index("tail_lamp")].max() < -0.25 * SIZE[name][0]
 
 
-def test_a_body_stands_on_wheels_and_looks_the_same_from_left_and_right():
+def test_a_body_stands_on_wheels_and_looks_the_same_from_left_and_right() -> None:
     mesh = body_mesh("car-normal-citrus:red", SIZE["car"])
     tyres = mesh.triangles_center[mesh.face_attributes["material"] == material_index("tyre")]
     assert tyres[:, 2].min() < 0.05 and (tyres[:, 1] > 0).mean() == pytest.approx(0.5, abs=0.01)
 
 
-def test_paint_is_a_variant_of_one_shape():
+def test_paint_is_a_variant_of_one_shape() -> None:
     red, blue = (body_mesh(f"car-minibus-citrus:{paint}", SIZE["van"]) for paint in ("red", "blue"))
     assert np.array_equal(red.vertices, blue.vertices)
     assert set(red.face_attributes["material"]) != set(blue.face_attributes["material"])
 
 
-def test_plain_models_are_made_where_sumo_is_not_installed(monkeypatch):
+def test_plain_models_are_made_where_sumo_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim.bodies.cars.sumo_home", lambda: pytest.fail("a file of SUMO was looked for"))
     for name in CLASSES:
         for model in generic_models_for(name):
             assert len(body_mesh.__wrapped__(model, SIZE[name]).faces) > 50
 
 
-def test_a_mesh_is_made_once_for_each_model_and_size():
+def test_a_mesh_is_made_once_for_each_model_and_size() -> None:
     assert body_mesh("truck:blue", SIZE["truck"]) is body_mesh("truck:blue", SIZE["truck"])
 
 
-def test_unknown_names_and_sizes_are_told_in_one_line():
+def test_unknown_names_and_sizes_are_told_in_one_line() -> None:
     with pytest.raises(SettingsError, match="did you mean 'bicycle'"):
         models_for("bycicle")
     with pytest.raises(SettingsError, match="did you mean 'truck:blue'"):
@@ -95,6 +95,6 @@ def test_unknown_names_and_sizes_are_told_in_one_line():
         body_mesh("truck:blue", (4.0, float("nan"), 2.0))
 
 
-def test_names_of_models_need_no_meshes():
+def test_names_of_models_need_no_meshes() -> None:
     code = "import sys, sim.bodies.choice; sys.exit('trimesh' in sys.modules or 'shapely' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

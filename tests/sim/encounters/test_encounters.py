@@ -1,6 +1,7 @@
 """Encounters: every kind is laid out on its lanes, draws are reproducible, controls take away what they say."""
 
 import math
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -136,7 +137,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("case", MISTAKES)
-def test_a_mistake_is_told_in_one_line_with_file_field_and_finding(case: str, tmp_path) -> None:
+def test_a_mistake_is_told_in_one_line_with_file_field_and_finding(case: str, tmp_path: Path) -> None:
     table, words = MISTAKES[case]
     lines = ['name = "mine"', 'description = ""', "[agents]", "vehicles = 1", "[conflict]"]
     lines += [f"{key} = {value!r}" for key, value in table.items() if key != "parameters"]
@@ -176,7 +177,7 @@ STREET_MISTAKES = {
 
 
 @pytest.mark.parametrize("case", STREET_MISTAKES)
-def test_wrong_streets_are_told_in_one_line(case: str, tmp_path) -> None:
+def test_wrong_streets_are_told_in_one_line(case: str, tmp_path: Path) -> None:
     old, new, words = STREET_MISTAKES[case]
     assert old in ON_A_MAP
     path = tmp_path / "scenario.toml"
@@ -187,7 +188,7 @@ def test_wrong_streets_are_told_in_one_line(case: str, tmp_path) -> None:
         assert word in str(caught.value)
 
 
-def test_paths_on_a_map_follow_its_lanes(tmp_path) -> None:
+def test_paths_on_a_map_follow_its_lanes(tmp_path: Path) -> None:
     path = tmp_path / "scenario.toml"
     path.write_text(ON_A_MAP)
     scenario = load_scenario(path)
@@ -201,7 +202,7 @@ def test_paths_on_a_map_follow_its_lanes(tmp_path) -> None:
     np.testing.assert_allclose(place[:2], stop, atol=0.3)
 
 
-def test_a_scenario_without_network_and_without_conflict_is_refused(tmp_path) -> None:
+def test_a_scenario_without_network_and_without_conflict_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "scenario.toml"
     path.write_text('name = "mine"\ndescription = ""\n[agents]\nvehicles = 1\n')
     with pytest.raises(ScenarioError, match="network: expected exactly one of"):
@@ -248,7 +249,9 @@ def test_the_distance_of_a_speed_profile_is_the_integral_of_its_speed() -> None:
 
 
 @pytest.mark.parametrize(("gap_m", "brakes_mps2"), [(60.0, 6.0), (20.0, 4.0), (9.0, 8.0)])
-def test_the_crash_of_the_chain_comes_when_the_gap_to_the_braking_car_is_used_up(gap_m, brakes_mps2) -> None:
+def test_the_crash_of_the_chain_comes_when_the_gap_to_the_braking_car_is_used_up(
+    gap_m: float, brakes_mps2: float
+) -> None:
     """A follower at constant speed and a leader that brakes to a standstill, step by step."""
     speed, step_s = 16.0, 1e-4
     time_s = np.arange(0.0, 30.0, step_s)

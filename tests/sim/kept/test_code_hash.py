@@ -16,7 +16,7 @@ CELLS = "dsrc.evaluation.cells"
 
 
 @pytest.fixture(scope="module")
-def tree(tmp_path_factory) -> Path:
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("tree")
     for package in ("sim", "sensors", "dsrc"):
         shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__", "*.pt"))
@@ -67,7 +67,7 @@ OTHER = (
 )
 
 
-def test_an_edit_of_what_decides_a_number_changes_the_hash_and_no_other_does(tree):
+def test_an_edit_of_what_decides_a_number_changes_the_hash_and_no_other_does(tree: Path) -> None:
     whole = code_hash.__wrapped__(CELLS, tree)
     assert whole == code_hash.__wrapped__(CELLS, ROOT)
     assert len({edited(tree, name) for name in FAR} | {whole}) == len(FAR) + 1
@@ -75,7 +75,7 @@ def test_an_edit_of_what_decides_a_number_changes_the_hash_and_no_other_does(tre
     assert code_hash.__wrapped__(CELLS, tree) == whole
 
 
-def test_imports_inside_functions_count_and_those_of_type_checkers_do_not(tmp_path):
+def test_imports_inside_functions_count_and_those_of_type_checkers_do_not(tmp_path: Path) -> None:
     sources = {
         "dsrc/evaluation/cells.py": "from sim import near\ndef f():\n    from ..ops.far import g\n",
         "dsrc/evaluation/other.py": "",
@@ -101,7 +101,7 @@ def test_imports_inside_functions_count_and_those_of_type_checkers_do_not(tmp_pa
     assert set(package_versions.__wrapped__(CELLS, tmp_path)) == {"numpy"}
 
 
-def test_the_code_of_a_user_counts_and_ours_is_counted_already(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_code_of_a_user_counts_and_ours_is_counted_already(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "haze_alone.py").write_text("def haze():\n    return 1\n")
     (tmp_path / "haze_whole").mkdir()
@@ -123,14 +123,14 @@ def test_the_code_of_a_user_counts_and_ours_is_counted_already(tmp_path: Path, m
     assert own_code_hash.__wrapped__(here["haze"]) != own_code_hash.__wrapped__(here["haze"])  # no source: never served
 
 
-def test_versions_of_packages_that_compute_are_listed():
+def test_versions_of_packages_that_compute_are_listed() -> None:
     assert {"numpy", "torch", "numba", "scipy", "powerboxes"} <= set(package_versions(CELLS))
     assert not {"rich", "tyro", "matplotlib", "viser"} & set(package_versions(CELLS))
     # Nothing imports these: one is called as a program, the other by trimesh.
     assert {"eclipse-sumo", "mapbox_earcut"} <= set(package_versions("sim.world.build"))
 
 
-def test_cells_are_computed_where_sumo_is_not_installed(monkeypatch: pytest.MonkeyPatch):
+def test_cells_are_computed_where_sumo_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     known = {
         name: several for name, several in packages_distributions().items() if name not in ("sumo", "mapbox_earcut")
     }

@@ -1,4 +1,5 @@
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ def small_3ds() -> bytes:
     return chunk(0x4D4D, chunk(0x0002, b"\3\0\0\0") + chunk(0x3D3D, mesh(5.0) + mesh(7.0)))
 
 
-def test_every_object_of_a_3ds_file_is_read_with_its_materials(tmp_path):
+def test_every_object_of_a_3ds_file_is_read_with_its_materials(tmp_path: Path) -> None:
     path = tmp_path / "small.3ds"
     path.write_bytes(small_3ds())
     mesh = read_3ds(path)
@@ -32,7 +33,7 @@ def test_every_object_of_a_3ds_file_is_read_with_its_materials(tmp_path):
 
 
 @pytest.mark.parametrize("keep", [0, 1, 3, 40, 100, 150])
-def test_a_truncated_3ds_file_is_one_line(tmp_path, keep):
+def test_a_truncated_3ds_file_is_one_line(tmp_path: Path, keep: int) -> None:
     path = tmp_path / "cut.3ds"
     path.write_bytes(small_3ds()[:keep])
     with pytest.raises(ScenarioError, match=r"cut\.3ds") as caught:
@@ -40,12 +41,12 @@ def test_a_truncated_3ds_file_is_one_line(tmp_path, keep):
     assert "\n" not in str(caught.value)
 
 
-def test_the_city_mesh_of_sumo_has_the_known_number_of_triangles():
+def test_the_city_mesh_of_sumo_has_the_known_number_of_triangles() -> None:
     mesh = read_3ds(sumo_tools() / "game" / "bs3d" / "bs3.3ds")
     assert len(mesh.faces) == 53893 and len(set(mesh.group) - {""}) == 21
 
 
-def test_polygons_of_an_obj_file_become_fans(tmp_path):
+def test_polygons_of_an_obj_file_become_fans(tmp_path: Path) -> None:
     path = tmp_path / "quad.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl roof\nf 1//1 2//1 3//1 4//1\nf -4 -3 -2\n")
     mesh = read_obj(path)
@@ -53,7 +54,7 @@ def test_polygons_of_an_obj_file_become_fans(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "v 0 0 0\n", "v 0 0 x\nf 1 1 1\n", "v 0 0 0\nf 1 2 3\n"])
-def test_a_broken_obj_file_is_one_line(tmp_path, text):
+def test_a_broken_obj_file_is_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "broken.obj"
     path.write_text(text)
     with pytest.raises(ScenarioError, match=r"broken\.obj"):

@@ -25,29 +25,29 @@ def slope(xy):
     ],
     ids=["box", "prism", "slanted tube", "upright tube", "ellipsoid", "ring"],
 )
-def test_solids_are_closed_and_face_outwards(solid):
+def test_solids_are_closed_and_face_outwards(solid) -> None:
     mesh = to_mesh(solid)
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
 
 
-def test_turning_by_a_quarter_takes_forward_to_left():
+def test_turning_by_a_quarter_takes_forward_to_left() -> None:
     turned = move(box([0, 0, 0], [2, 0.1, 0.1], "glass"), yaw=np.pi / 2)
     assert turned.vertices[:, 1].max() == pytest.approx(2.0)
 
 
-def test_joined_pieces_keep_their_materials_and_triangles():
+def test_joined_pieces_keep_their_materials_and_triangles() -> None:
     a, b = box([0, 0, 0], [1, 1, 1], "glass"), box([2, 0, 0], [3, 1, 1], "metal")
     whole = join([a, b])
     assert np.array_equal(whole.material, np.concatenate([a.material, b.material]))
     assert np.array_equal(whole.vertices[whole.faces], np.concatenate([a.vertices[a.faces], b.vertices[b.faces]]))
 
 
-def test_a_fitted_piece_fills_its_box():
+def test_a_fitted_piece_fills_its_box() -> None:
     part = fit(ellipsoid([5, 5, 5], [1, 2, 3], "glass"), (4.0, 2.0, 1.0))
     assert np.allclose(part.vertices.min(axis=0), [-2, -1, 0]) and np.allclose(part.vertices.max(axis=0), [2, 1, 1])
 
 
-def test_a_carpet_covers_its_polygon_once_and_follows_the_slope():
+def test_a_carpet_covers_its_polygon_once_and_follows_the_slope() -> None:
     shape = shapely.box(0, 0, 10, 10) - shapely.box(4, 4, 6, 6)
     mesh = to_mesh(carpet(shape, slope, 0.01, "asphalt"))
     triangles = np.asarray(mesh.triangles)[:, :, :2]
@@ -56,7 +56,7 @@ def test_a_carpet_covers_its_polygon_once_and_follows_the_slope():
     assert (mesh.face_normals[:, 2] > 0).all()
 
 
-def test_a_slab_faces_outwards_on_top_and_around_its_holes():
+def test_a_slab_faces_outwards_on_top_and_around_its_holes() -> None:
     mesh = to_mesh(slab(shapely.box(0, 0, 4, 4) - shapely.box(1, 1, 2, 2), level, 2.0, "brick", "roof"))
     sides = np.abs(mesh.face_normals[:, 2]) < 0.5
     middles = mesh.triangles_center[sides] + 0.05 * mesh.face_normals[sides]
@@ -64,7 +64,7 @@ def test_a_slab_faces_outwards_on_top_and_around_its_holes():
     assert not inside.any() and (mesh.face_normals[~sides, 2] > 0).all()
 
 
-def test_a_strip_faces_upwards():
+def test_a_strip_faces_upwards() -> None:
     line = np.array([[0.0, 0.0], [5.0, 1.0], [9.0, 0.0]])
     mesh = to_mesh(strip(line + np.array([0, 0.5]), line - np.array([0, 0.5]), level, 0.0, "marking"))
     assert (mesh.face_normals[:, 2] > 0.99).all() and mesh.area == pytest.approx(9.0)

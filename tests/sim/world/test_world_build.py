@@ -1,5 +1,6 @@
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -70,7 +71,7 @@ def names(mesh, faces):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_ray_straight_down_on_a_lane_meets_the_road_or_its_paint(worlds, name):
+def test_a_ray_straight_down_on_a_lane_meets_the_road_or_its_paint(worlds, name) -> None:
     mesh, streets = worlds(name)
     points, _ = lane_samples(streets)
     assert len(points) > 100
@@ -81,7 +82,7 @@ def test_a_ray_straight_down_on_a_lane_meets_the_road_or_its_paint(worlds, name)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_nothing_stands_in_the_way_of_a_vehicle(worlds, name):
+def test_nothing_stands_in_the_way_of_a_vehicle(worlds, name) -> None:
     mesh, streets = worlds(name)
     low = mesh.triangles[:, :, 2].min(axis=1) < 4.4
     solid = np.isin(mesh.face_attributes["material"], [material_index(n) for n in SOLID]) & low
@@ -95,7 +96,7 @@ def test_nothing_stands_in_the_way_of_a_vehicle(worlds, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_face_has_a_valid_material_and_finite_corners(worlds, name):
+def test_every_face_has_a_valid_material_and_finite_corners(worlds, name) -> None:
     mesh, _ = worlds(name)
     material = mesh.face_attributes["material"]
     assert material.dtype == np.uint8 and material.shape == (len(mesh.faces),) and material.max() < len(MATERIALS)
@@ -105,7 +106,7 @@ def test_every_face_has_a_valid_material_and_finite_corners(worlds, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_ground_is_below_everything_and_reaches_beyond_the_area(worlds, name):
+def test_the_ground_is_below_everything_and_reaches_beyond_the_area(worlds, name) -> None:
     mesh, streets = worlds(name)
     low_x, low_y, high_x, high_y = streets.area
     x, y = np.meshgrid(np.linspace(low_x - 150, high_x + 150, 23), np.linspace(low_y - 150, high_y + 150, 23))
@@ -118,7 +119,7 @@ def test_the_ground_is_below_everything_and_reaches_beyond_the_area(worlds, name
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_paint_lies_above_the_road(worlds, name):
+def test_paint_lies_above_the_road(worlds, name) -> None:
     mesh, _ = worlds(name)
     material = mesh.face_attributes["material"]
     paint = mesh.triangles[material == material_index("marking")][:, :, 2]
@@ -126,7 +127,7 @@ def test_paint_lies_above_the_road(worlds, name):
     assert len(paint) > 50 and paint.min() >= roads.max() + 0.005
 
 
-def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds):
+def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds) -> None:
     mesh, streets = worlds("braunschweig")
     material = mesh.face_attributes["material"]
     house = np.isin(material, [material_index(n) for n in ("brick", "plaster", "concrete", "roof", "glass")])
@@ -143,7 +144,7 @@ def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds):
     assert not shapely.contains_xy(covered, *points.T).any()
 
 
-def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds):
+def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds) -> None:
     mesh, _ = worlds("braunschweig")
     angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     eye = np.tile([671.0, 639.2, 1.9], (720, 1))
@@ -153,7 +154,7 @@ def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds):
     assert np.isin(seen, ["brick", "plaster", "concrete", "glass"]).sum() > 200
 
 
-def test_a_mast_does_not_stand_before_its_roadside_sensor(worlds):
+def test_a_mast_does_not_stand_before_its_roadside_sensor(worlds) -> None:
     for name in NAMES:
         units = load_scenario(name).agents.roadside
         mesh, _ = worlds(name)
@@ -164,7 +165,7 @@ def test_a_mast_does_not_stand_before_its_roadside_sensor(worlds):
             assert distance.min() > 1.5
 
 
-def test_a_world_depends_on_its_seed_only_where_no_map_tells():
+def test_a_world_depends_on_its_seed_only_where_no_map_tells() -> None:
     scenario = load_scenario("four_way")
     first, again, other = build_world(scenario, 3), build_world(scenario, 3), build_world(scenario, 4)
     assert np.array_equal(first.vertices, again.vertices) and np.array_equal(first.faces, again.faces)
@@ -172,7 +173,7 @@ def test_a_world_depends_on_its_seed_only_where_no_map_tells():
     assert first.vertices.shape != other.vertices.shape or not np.array_equal(first.vertices, other.vertices)
 
 
-def test_the_world_follows_the_heights_of_its_lanes(tmp_path):
+def test_the_world_follows_the_heights_of_its_lanes(tmp_path: Path) -> None:
     nodes = "".join(
         f'<node id="{k}" x="{x}" y="{y}" z="{z}"/>' for k, x, y, z in
         [("a", 0, 0, 10), ("b", 200, 0, 20), ("c", 400, 0, 10), ("d", 200, 200, 30)]
@@ -204,14 +205,14 @@ def test_the_world_follows_the_heights_of_its_lanes(tmp_path):
         assert blocked_share(scene, unit) < 0.05
 
 
-def test_towns_have_houses_kerbs_and_trees(worlds):
+def test_towns_have_houses_kerbs_and_trees(worlds) -> None:
     for name in TOWNS:
         mesh, _ = worlds(name)
         found = set(names(mesh, np.arange(len(mesh.faces))))
         assert {"roof", "kerb", "pavement", "leaves", "bark", "signal_lamp", "glass"} <= found
 
 
-def test_no_pavement_runs_along_a_motorway(worlds):
+def test_no_pavement_runs_along_a_motorway(worlds) -> None:
     _, streets = worlds("highway")
     roads = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal]
     fast = [lane for lane in roads if lane.speed > 25.0 and lane.index == 0]
@@ -224,7 +225,7 @@ def test_no_pavement_runs_along_a_motorway(worlds):
     assert pavement(streets).intersection(verge).area == 0.0
 
 
-def test_names_of_materials_are_unique_and_reflectivities_physical():
+def test_names_of_materials_are_unique_and_reflectivities_physical() -> None:
     assert len({m.name for m in MATERIALS}) == len(MATERIALS) < 256
     assert all(0.0 <= m.reflectivity <= 1.0 for m in MATERIALS)
     assert all(MATERIALS[material_index(m.name)] is m for m in MATERIALS)

@@ -40,7 +40,7 @@ GRID = make_detector("dsrc").settings.grid
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory):
+def plan(tmp_path_factory: pytest.TempPathFactory):
     root = tmp_path_factory.mktemp("pictures")
     write_drives(root / "test", frames=3)
     return make_plan(root, {"DSRC": [("dsrc", 0)], "plain": [("attfuse", 0)]})
@@ -57,7 +57,7 @@ def drawn_frame(drawn_frames):
 
 
 @pytest.fixture(scope="module")
-def teacher(plan, tmp_path_factory):
+def teacher(plan, tmp_path_factory: pytest.TempPathFactory):
     """Return the file of a teacher that was trained on the ego alone."""
     return teacher_of("none", tmp_path_factory.mktemp("teacher"))
 
@@ -85,7 +85,7 @@ def hidden_from_the_ego(whole, cars):
     return dataclasses.replace(whole, agents=(dataclasses.replace(ego, sweep=sweep), *helpers), points_on=counts)
 
 
-def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
+def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path: Path) -> None:
     fewer = {"b": (2, 0), "a": (0, 1, 1)}  # cars of which the ego loses sight, frame by frame
     for name, cars in fewer.items():
         for index, count in enumerate(cars):
@@ -102,7 +102,7 @@ def test_frames_stand_at_percentiles_of_what_only_helpers_see(tmp_path):
         assert ids.isdisjoint(one.sample.boxes.object_id[only_helpers_see(one.sample)])
 
 
-def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_other(tmp_path):
+def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_other(tmp_path: Path) -> None:
     for index in range(2):
         write_frame(tmp_path / "test" / "alone", frame(index, **POINTS).of_agents([0]))
     everywhere = make_plan(tmp_path, {"DSRC": [("dsrc", 0)]}, pictures=dict(percentiles=(0, 50, 100)))
@@ -112,7 +112,7 @@ def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_
     assert {reader.drive.name for _, reader, _ in frames_at(everywhere, GRID)} == {"together"}
 
 
-def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan):
+def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan) -> None:
     (first, *_, last) = frames_at(replace(plan, limit=2, pictures=dict(percentiles=(1, 100))), GRID)
     assert {(reader.drive.name, position) for _, reader, position in (first, last)} == {("drive_0", 0), ("drive_1", 2)}
     clean, foggy = (
@@ -124,7 +124,7 @@ def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan)
     np.testing.assert_array_equal(only_helpers_see(foggy.sample), only_helpers_see(clean.sample))
 
 
-def test_pictures_that_cannot_be_drawn_are_reported_before_the_work(plan, teacher, tmp_path):
+def test_pictures_that_cannot_be_drawn_are_reported_before_the_work(plan, teacher, tmp_path: Path) -> None:
     check_pictures(replace(plan, pictures=dict(teacher=teacher)))
     student = plan.methods[0].detectors[0]
     for pictures, words in (
@@ -139,7 +139,7 @@ def test_pictures_that_cannot_be_drawn_are_reported_before_the_work(plan, teache
             check_pictures(replace(plan, pictures=pictures))
 
 
-def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up():
+def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up() -> None:
     eye, aim = np.array([-10.0, 0.0, 5.0]), np.array([10.0, 0.0, 5.0])
     seen = project(np.array([[10.0, 0, 5], [10, 0, 7], [10, 2, 5], [-20, 0, 5]]), eye, aim)
     np.testing.assert_allclose(seen[0], [0, 0, 20], atol=1e-12)
@@ -148,7 +148,7 @@ def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up():
     assert seen[3, 2] == -10.0  # behind
 
 
-def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(drawn_frames):
+def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(drawn_frames) -> None:
     found = {
         name: [make_detector(name).detect(drawn_frame.sample) for drawn_frame in drawn_frames]
         for name in ("dsrc", "attfuse")
@@ -178,7 +178,7 @@ def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(drawn_frames
     assert len(png_bytes(figure, dpi=40)) > 5000
 
 
-def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(drawn_frame):
+def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(drawn_frame) -> None:
     truth, ego = drawn_frame.sample.boxes, drawn_frame.ego
     assert len(ego) == 1 and len(truth) > 1
     np.testing.assert_allclose(ego.center[0, :2], [0, 0], atol=2.0)
@@ -208,7 +208,7 @@ def with_head(detector, change):
     return other
 
 
-def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(drawn_frame):
+def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(drawn_frame) -> None:
     detector = make_detector("dsrc")
     bias = detector.cls_head.bias.detach().numpy()[:, None, None]
     seen = vehicle_evidence(detector, drawn_frame.sample)
@@ -226,7 +226,7 @@ def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(drawn_frame):
     assert not vehicle_evidence(with_head(detector, lambda weight: -weight.abs()), drawn_frame.sample).any()
 
 
-def test_evidence_before_fusion_is_the_egos_own(drawn_frame):
+def test_evidence_before_fusion_is_the_egos_own(drawn_frame) -> None:
     detector = make_detector("dsrc")
     alone = vehicle_evidence(detector, drawn_frame.sample, fused=False)
     np.testing.assert_allclose(
@@ -235,7 +235,7 @@ def test_evidence_before_fusion_is_the_egos_own(drawn_frame):
     assert not np.allclose(alone, vehicle_evidence(detector, drawn_frame.sample), rtol=0.01)
 
 
-def test_evidence_of_a_network_of_the_mirror_image_lies_where_the_vehicles_are(drawn_frame):
+def test_evidence_of_a_network_of_the_mirror_image_lies_where_the_vehicles_are(drawn_frame) -> None:
     detector = make_detector("dsrc")
     left = copy.deepcopy(detector)
     left.settings = replace(detector.settings, left_handed=True)
@@ -244,7 +244,7 @@ def test_evidence_of_a_network_of_the_mirror_image_lies_where_the_vehicles_are(d
     np.testing.assert_allclose(there[::-1], vehicle_evidence(detector, drawn_frame.sample), atol=1e-4)
 
 
-def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(drawn_frame):
+def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(drawn_frame) -> None:
     settings = replace(make_detector("dsrc").settings, role="teacher", fusion="none", rec=False)
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -262,7 +262,7 @@ def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(drawn_frame):
     )
 
 
-def test_channels_that_never_fire_are_counted_over_all_frames(drawn_frames):
+def test_channels_that_never_fire_are_counted_over_all_frames(drawn_frames) -> None:
     detector = copy.deepcopy(make_detector("dsrc"))
     samples = [drawn_frame.sample for drawn_frame in drawn_frames]
     last = [layer for layer in detector.shrink if getattr(layer, "bias", None) is not None][-1]
@@ -274,7 +274,7 @@ def test_channels_that_never_fire_are_counted_over_all_frames(drawn_frames):
     assert not fired[3] and fired[4]
 
 
-def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames):
+def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames) -> None:
     student = make_detector("dsrc")
     maps = {
         "student": partial(vehicle_evidence, student),
@@ -306,7 +306,7 @@ def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames):
     assert [panel.get_ylabel() for panel in panels[:, 0]] == ["LiDAR points of\nall agents", "student", "twice"]
 
 
-def test_figures_6_and_8_are_written_with_what_made_them(plan, teacher, tmp_path):
+def test_figures_6_and_8_are_written_with_what_made_them(plan, teacher, tmp_path: Path) -> None:
     drawn = replace(plan, corruptions=("clean",), limit=2, pictures=dict(teacher=teacher, percentiles=(50,)))
     result = run_plan(drawn, tmp_path)
     writer = SectionWriter(tmp_path, provenance_of(result))

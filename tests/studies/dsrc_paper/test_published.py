@@ -3,7 +3,7 @@ import pytest
 from studies.dsrc_paper.published import published_tables
 
 
-def test_the_papers_tables_agree_with_each_other():
+def test_the_papers_tables_agree_with_each_other() -> None:
     sheets = published_tables()
     one = {line.label: line.cells for line in sheets["table_1"].rows}
     assert len(one) == 10 and all(len(cells) == 9 for cells in one.values())

@@ -19,7 +19,7 @@ from studies.dsrc_paper.tables import mean_corrupted, table_2, table_3, table_4
 from tests.dsrc.evaluation.report.test_tables import outcome_of, settings_of, view_of
 
 
-def test_table_2_goes_from_none_to_all_parts_and_says_which_are_missing():
+def test_table_2_goes_from_none_to_all_parts_and_says_which_are_missing() -> None:
     results = view_of({"attfuse": 1, "sdd only": 1, "no rec": 1, "dsrc": 1})
     sheet = table_2(results)
     assert [line.label for line in sheet.rows] == ["none", "SDD", "SDD + PCP", "SDD + PCP + REC"]
@@ -36,7 +36,7 @@ def test_table_2_goes_from_none_to_all_parts_and_says_which_are_missing():
     assert "'dsrc' with other parts: none, SDD, PCP, SDD + PCP" in table_2(view_of({"dsrc": 1}))
 
 
-def test_tables_3_and_4_find_their_pairs_by_what_methods_are():
+def test_tables_3_and_4_find_their_pairs_by_what_methods_are() -> None:
     results = view_of({"dsrc": 1, "f-cooper": 1, "dsrc-max": 1, "attfuse": 1, "no-collaboration": 1, "dsrc-alone": 1})
     three, four = table_3(results), table_4(results)
     titles = [column.title for column in three.columns]
@@ -51,14 +51,14 @@ def test_tables_3_and_4_find_their_pairs_by_what_methods_are():
     assert table_4(view_of({"dsrc": 1})) == "Table 4 is left out: it needs no-collaboration, dsrc-alone."
 
 
-def test_a_plain_method_of_other_sizes_is_not_taken_for_the_base():
+def test_a_plain_method_of_other_sizes_is_not_taken_for_the_base() -> None:
     result = outcome_of({"attfuse": 1, "dsrc": 1})
     wider = replace(settings_of("attfuse"), shrink_channels=128)
     result.trained["attfuse"][0] = TrainedDetector(Path("x.pt"), "x", wider, 0, {})
     assert "none" in table_2(DatasetResults.of(result, "made up"))
 
 
-def test_figure_4_is_the_mean_of_methods_that_are_different():
+def test_figure_4_is_the_mean_of_methods_that_are_different() -> None:
     result = outcome_of({"late": 1, "f-cooper": 1, "dsrc": 1, "dsrc-max": 1, "dsrc-alone": 1, "v2vnet": 1})
     result.trained["dsrc, its clouds thinned"] = result.trained["dsrc"]
     only = result.trained["dsrc"][0]
@@ -70,7 +70,7 @@ def test_figure_4_is_the_mean_of_methods_that_are_different():
     assert len(compared_methods(results)) == 8
 
 
-def test_a_method_has_one_style_in_all_benchmarks():
+def test_a_method_has_one_style_in_all_benchmarks() -> None:
     methods = {"late": 1, "where2comm": 1, "v2vnet": 1, "attfuse": 1, "dsrc": 1, "dsrc-alone": 1}
     styles = method_styles(view_of(methods))
     assert len(set(styles.values())) == len(styles) and set(methods) <= set(styles)

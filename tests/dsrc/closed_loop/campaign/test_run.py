@@ -40,7 +40,7 @@ def rows(out: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory) -> Path:
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("campaign")
     run_campaign(PLAN, out)
     return out
@@ -112,7 +112,9 @@ def changed(text: str, column: str, value: str) -> str:
         pytest.param(lambda text: "", "named scenario", id="empty"),
     ],
 )
-def test_a_file_that_is_no_result_is_one_line_that_names_it(driven: Path, tmp_path: Path, change, expected) -> None:
+def test_a_file_that_is_no_result_is_one_line_that_names_it(
+    driven: Path, tmp_path: Path, change, expected: str
+) -> None:
     path = tmp_path / "results.csv"
     path.write_text(change((driven / "results.csv").read_text()))
     with pytest.raises(DataError, match=expected) as error:
@@ -131,7 +133,9 @@ def test_a_file_that_is_no_result_is_one_line_that_names_it(driven: Path, tmp_pa
         pytest.param({"reuse": (Path("results.csv"),)}, id="reused without a folder"),
     ],
 )
-def test_options_that_would_do_nothing_are_refused(tmp_path: Path, options: dict[str, Any], monkeypatch) -> None:
+def test_options_that_would_do_nothing_are_refused(
+    tmp_path: Path, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SettingsError, match=f"--{'reuse' if 'reuse' in options else 'docs'}"):
         Drive(what="lta_truck", corruption=("fog",), **options).run()
@@ -156,7 +160,7 @@ def test_a_perception_that_fails_is_a_row(tmp_path: Path) -> None:
     assert (row.outcome, row.message) == ("perception failed", "MemoryError: no memory left")
 
 
-def test_a_driver_who_fails_a_control_stops_the_campaign(tmp_path: Path, monkeypatch) -> None:
+def test_a_driver_who_fails_a_control_stops_the_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "controls_of", lambda plan: replace(PLAN, perceptions=PLAN.perceptions[1:]))
     with pytest.raises(SettingsError, match="ima_building seed 0: crashed"):
         run_campaign(replace(PLAN, controls=True), tmp_path)

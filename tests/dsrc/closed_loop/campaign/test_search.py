@@ -69,6 +69,6 @@ def test_delays_go_to_the_longest_whatever_the_interval() -> None:
         ({"perception": ("team", "ego"), "corruption": ("fog",)}, "severity", "perception"),
     ],
 )
-def test_a_plan_of_more_than_one_episode_or_without_the_quantity_is_refused(change, quantity, told: str) -> None:
+def test_a_plan_of_more_than_one_episode_or_without_the_quantity_is_refused(change, quantity: str, told: str) -> None:
     with pytest.raises(SettingsError, match=told):
         search(campaign_of(DriveOptions(what="ima_building", **change)), quantity)

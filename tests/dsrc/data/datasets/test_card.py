@@ -75,7 +75,9 @@ def test_the_same_drives_give_the_same_card_and_others_another(split: Path) -> N
     assert json.loads((folder / "card.json").read_text())["frames"] == 15
 
 
-def test_a_picture_has_a_legend_of_agents_and_boxes(split: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_picture_has_a_legend_of_agents_and_boxes(
+    split: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     legends = []
     monkeypatch.setattr(
         "dsrc.tables.figure.write_figure", lambda path, figure, *_, **__: legends.append(figure.legends)

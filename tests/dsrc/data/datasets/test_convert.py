@@ -35,7 +35,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize("to", ["opv2v", "dair", "kitti"])
 def test_an_interrupted_conversion_resumes_to_the_same_bytes(
     data: Path, tmp_path: Path, to: module.Format, monkeypatch: pytest.MonkeyPatch
-):
+) -> None:
     whole = tree(convert(data, tmp_path / "whole", to))
     reads = []
     read = DriveReader.read
@@ -69,14 +69,14 @@ def test_an_interrupted_conversion_resumes_to_the_same_bytes(
     assert len(reads) == before
 
 
-def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path):
+def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path) -> None:
     one, two = (
         convert(data, tmp_path / str(workers), "kitti", agent_id="all", pool=Pool(workers)) for workers in (1, 2)
     )
     assert tree(one) == tree(two)
 
 
-def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Path):
+def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("years of work")
     with pytest.raises(DataError, match=r"full: folder: expected a new or empty one, found 'thesis.tex' in it"):
@@ -104,25 +104,25 @@ def test_a_folder_that_holds_something_else_is_refused(data: Path, tmp_path: Pat
         ({"to": "dair", "view": "around"}, "--view is of KITTI's labels; add --to kitti"),
     ],
 )
-def test_an_option_that_a_format_lacks_is_named(data: Path, tmp_path: Path, options: dict, message: str):
+def test_an_option_that_a_format_lacks_is_named(data: Path, tmp_path: Path, options: dict, message: str) -> None:
     with pytest.raises(SettingsError) as caught:
         convert(data, tmp_path / "out", **options)
     assert message in str(caught.value) and not (tmp_path / "out").exists()
 
 
-def test_the_source_is_not_overwritten(data: Path):
+def test_the_source_is_not_overwritten(data: Path) -> None:
     for out in (data, data / "new", data.parent):
         with pytest.raises(SettingsError, match="out: expected a folder apart from"):
             convert(data, out, "kitti")
 
 
-def test_opv2v_to_opv2v_loses_nothing(tmp_path: Path):
+def test_opv2v_to_opv2v_loses_nothing(tmp_path: Path) -> None:
     write_drive(tmp_path / "data" / "d", SETTINGS | {"motion": "raw"}, ToySource().open)
     convert(tmp_path / "data", tmp_path / "out", "opv2v")
     assert tree(tmp_path / "out" / "d") == tree(tmp_path / "data" / "d")
 
 
-def test_drives_of_other_tools_become_drives_of_ours(tmp_path: Path):
+def test_drives_of_other_tools_become_drives_of_ours(tmp_path: Path) -> None:
     mini = goldens.unpack_opv2v_mini(tmp_path)
     convert(mini, tmp_path / "out", "opv2v")
     for before, after in zip(open_drives(mini), open_drives(tmp_path / "out"), strict=True):
@@ -131,7 +131,7 @@ def test_drives_of_other_tools_become_drives_of_ours(tmp_path: Path):
         assert after.protocol["testbed"]["converted"]["sha256"] == before.digest()
 
 
-def test_dair_becomes_opv2v_with_unknown_velocities_as_unknown(tmp_path: Path):
+def test_dair_becomes_opv2v_with_unknown_velocities_as_unknown(tmp_path: Path) -> None:
     root = dair_tree.make(tmp_path / "download")
     convert(root / "val", tmp_path / "out", "opv2v")
     after = open_drives(tmp_path / "out")
@@ -143,7 +143,7 @@ def test_dair_becomes_opv2v_with_unknown_velocities_as_unknown(tmp_path: Path):
     assert len(notes["vehicles"]) == 3 and "speed" not in notes["vehicles"][1]
 
 
-def test_dair_can_be_corrupted(tmp_path: Path):
+def test_dair_can_be_corrupted(tmp_path: Path) -> None:
     root = dair_tree.make(tmp_path / "download")
     (first, second) = corrupt_dataset(root, tmp_path / "out", "motion_blur")
     assert [drive.name for drive in (first, second)] == ["3", "12"]
@@ -152,7 +152,7 @@ def test_dair_can_be_corrupted(tmp_path: Path):
     assert not np.array_equal(before.agents[0].sweep.points, after.agents[0].sweep.points)
 
 
-def test_dair_to_dair_keeps_boxes_and_places(tmp_path: Path):
+def test_dair_to_dair_keeps_boxes_and_places(tmp_path: Path) -> None:
     root = dair_tree.make(tmp_path / "download", tracks=True)
     convert(root, tmp_path / "out", "dair")
     for before, after in zip(open_drives(root), open_drives(tmp_path / "out"), strict=True):
@@ -165,7 +165,7 @@ def test_dair_to_dair_keeps_boxes_and_places(tmp_path: Path):
                 assert a.sweep.time_s == pytest.approx(b.sweep.time_s, abs=1e-6)
 
 
-def test_dair_keeps_the_points_on_objects_that_no_longer_are_in_the_sweeps(tmp_path: Path):
+def test_dair_keeps_the_points_on_objects_that_no_longer_are_in_the_sweeps(tmp_path: Path) -> None:
     frame = toy_frame(0)
     thin = frame.with_sweeps([agent.sweep[np.arange(0, len(agent.sweep), 80)] for agent in frame.agents])
     write_frame(tmp_path / "thin" / "one", thin)
@@ -194,13 +194,13 @@ def test_dair_keeps_the_points_on_objects_that_no_longer_are_in_the_sweeps(tmp_p
 @pytest.mark.parametrize("place", [".", "one/.."])
 def test_a_folder_without_a_name_of_its_own_is_read_by_its_real_one(
     data: Path, tmp_path: Path, place: str, monkeypatch: pytest.MonkeyPatch
-):
+) -> None:
     whole = tree(convert(data / "train", tmp_path / "whole", "opv2v"))
     monkeypatch.chdir(data / "train")
     assert tree(convert(Path(place), tmp_path / "out", "opv2v")) == whole
 
 
-def test_a_protocol_of_another_tool_may_have_values_that_we_do_not_write(data: Path, tmp_path: Path):
+def test_a_protocol_of_another_tool_may_have_values_that_we_do_not_write(data: Path, tmp_path: Path) -> None:
     shutil.rmtree(data / "validate")
     for path in data.rglob("*.yaml"):
         path.write_text(path.read_text().partition("\n")[2])
@@ -211,7 +211,7 @@ def test_a_protocol_of_another_tool_may_have_values_that_we_do_not_write(data: P
     assert drive.protocol["world"] == {"far": "inf", "2021-01-01": [1.5, True]}
 
 
-def test_splits_stay_splits(data: Path, tmp_path: Path):
+def test_splits_stay_splits(data: Path, tmp_path: Path) -> None:
     convert(data, tmp_path / "dair", "dair")
     root = tmp_path / "dair" / "cooperative-vehicle-infrastructure"
     assert json.loads((root / "train.json").read_text()) == ["000000", "000001"]
@@ -221,14 +221,14 @@ def test_splits_stay_splits(data: Path, tmp_path: Path):
     assert list_drives(tmp_path / "opv2v" / "validate") == [tmp_path / "opv2v" / "validate" / "two"]
 
 
-def test_names_that_repeat_get_those_of_their_folders(tmp_path: Path):
+def test_names_that_repeat_get_those_of_their_folders(tmp_path: Path) -> None:
     paths = [Path(name) for name in ("a/x/1", "a/y/1", "a/x/2", "a/test_culvercity/3", "a/testing/4")]
     assert names_of(paths) == ["x/1", "y/1", "2", "test_culvercity/3", "4"]
     with pytest.raises(DataError, match="names that differ"):
         names_of([Path("a/x/1"), Path("b/x/1")])
 
 
-def test_raw_points_are_compensated_for_formats_without_them(tmp_path: Path):
+def test_raw_points_are_compensated_for_formats_without_them(tmp_path: Path) -> None:
     raw = deskew_frame(toy_frame(1), "raw")
     write_frame(tmp_path / "data" / "toy", raw)
     convert(tmp_path / "data", tmp_path / "out", "dair")

@@ -40,7 +40,7 @@ def in_velodyne(row: np.ndarray, calib: dict[str, np.ndarray]) -> tuple[np.ndarr
     return center[:3], np.array([length, width, height]), -turn - np.pi / 2
 
 
-def test_points_lie_in_the_boxes_as_kittis_tools_take_them(data: Path, tmp_path: Path):
+def test_points_lie_in_the_boxes_as_kittis_tools_take_them(data: Path, tmp_path: Path) -> None:
     root = convert(data / "train", tmp_path / "out", "kitti", view="around") / "training"
     frame = toy_frame(1, seed=len("train/one"))
     sweep = frame.agents[0].sweep
@@ -62,7 +62,7 @@ def test_points_lie_in_the_boxes_as_kittis_tools_take_them(data: Path, tmp_path:
         assert inside.all()
 
 
-def test_the_picture_decides_what_is_labelled_and_its_box_holds_the_projected_corners():
+def test_the_picture_decides_what_is_labelled_and_its_box_holds_the_projected_corners() -> None:
     boxes = Boxes.from_array(
         [
             [20.0, 3.0, -0.8, 4.5, 1.8, 1.5, 0.4],  # ahead
@@ -86,7 +86,7 @@ def test_the_picture_decides_what_is_labelled_and_its_box_holds_the_projected_co
     assert around[1][1:3] == ["1.00", "3"] and around[1][4:8] == ["0.00"] * 4
 
 
-def test_every_agent_can_be_the_car(data: Path, tmp_path: Path):
+def test_every_agent_can_be_the_car(data: Path, tmp_path: Path) -> None:
     out = convert(data, tmp_path / "out", "kitti", agent_id="all")
     rows = [line.split(",") for line in (out / "frames.csv").read_text().splitlines()]
     assert rows[0] == ["number", "split", "drive", "frame", "agent"]
@@ -104,7 +104,7 @@ def test_every_agent_can_be_the_car(data: Path, tmp_path: Path):
         assert names == [f"{number}.{ending}" for number in listed["test"] + listed["train"]]
 
 
-def test_one_agent_of_a_drive_that_has_it(data: Path, tmp_path: Path):
+def test_one_agent_of_a_drive_that_has_it(data: Path, tmp_path: Path) -> None:
     out = convert(data, tmp_path / "out", "kitti", agent_id="-1", view="around")
     cloud = np.fromfile(out / "training/velodyne/000002.bin", "<f4").reshape(-1, 4)
     # The roadside unit's sensor looks down; its cloud is level: the ground is flat, 5 m below.
@@ -114,7 +114,7 @@ def test_one_agent_of_a_drive_that_has_it(data: Path, tmp_path: Path):
         convert(data, tmp_path / "other", "kitti", agent_id="8")
 
 
-def test_the_pictures_are_black_and_of_kittis_size(data: Path, tmp_path: Path):
+def test_the_pictures_are_black_and_of_kittis_size(data: Path, tmp_path: Path) -> None:
     content = (convert(data, tmp_path / "out", "kitti") / "training/image_2/000002.png").read_bytes()
     assert content[:8] == b"\x89PNG\r\n\x1a\n" and struct.unpack(">II", content[16:24]) == (WIDTH, HEIGHT)
     start = content.index(b"IDAT") + 4

@@ -34,7 +34,7 @@ def matrix(place: dict[str, float], turn: dict[str, float]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("angles", [(0.3, -0.2, 0.1), (3.1, 0.0, 0.0), (0.1, 0.2, 3.1), (0.4, 1.5, -0.3), (0, 0, 0)])
-def test_a_quaternion_turns_as_its_matrix_does(angles: tuple[float, float, float]):
+def test_a_quaternion_turns_as_its_matrix_does(angles: tuple[float, float, float]) -> None:
     turn = pose_matrix(np.zeros(3), *angles)
     found = quaternion(turn)
     assert np.linalg.norm(list(found.values())) == pytest.approx(1.0)
@@ -43,7 +43,7 @@ def test_a_quaternion_turns_as_its_matrix_does(angles: tuple[float, float, float
     assert np.allclose(rotation(quaternion(half_turn)), half_turn[:3, :3], atol=1e-9)
 
 
-def test_a_drive_is_one_file_that_the_mcap_reader_reads(tmp_path: Path):
+def test_a_drive_is_one_file_that_the_mcap_reader_reads(tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap.reader")
     for index in range(2):
         write_frame(tmp_path / "data" / "toy", toy_frame(index))
@@ -100,7 +100,7 @@ def test_a_drive_is_one_file_that_the_mcap_reader_reads(tmp_path: Path):
     assert entities["1005"]["arrows"] == []  # it stands
 
 
-def test_without_the_package_one_line_names_the_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_without_the_package_one_line_names_the_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
     from sim.errors import SettingsError

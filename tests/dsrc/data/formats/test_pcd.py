@@ -33,7 +33,7 @@ def written(tmp_path: Path) -> Path:
     return tmp_path / "000000.pcd"
 
 
-def test_a_sweep_reads_back_bit_for_bit(written: Path):
+def test_a_sweep_reads_back_bit_for_bit(written: Path) -> None:
     sweep = toy_frame(0).agents[0].sweep
     back = read_pcd(written, sweep.world_from_lidar, sweep.time_s, sweep.spec)
     for name in POINT_FIELDS:
@@ -41,7 +41,7 @@ def test_a_sweep_reads_back_bit_for_bit(written: Path):
         assert np.array_equal(getattr(back, name), getattr(sweep, name)), name
 
 
-def test_opv2v_finds_a_left_handed_cloud_with_red_intensity(written: Path):
+def test_opv2v_finds_a_left_handed_cloud_with_red_intensity(written: Path) -> None:
     sweep, table = toy_frame(0).agents[0].sweep, read_table(written)
     assert table.dtype.names[:4] == ("x", "y", "z", "rgb")
     assert np.array_equal(table["y"], -sweep.points[:, 1])
@@ -50,12 +50,12 @@ def test_opv2v_finds_a_left_handed_cloud_with_red_intensity(written: Path):
     assert not (table["rgb"] & 0xFFFF).any()
 
 
-def test_an_empty_sweep_is_a_valid_file(tmp_path: Path):
+def test_an_empty_sweep_is_a_valid_file(tmp_path: Path) -> None:
     (tmp_path / "a.pcd").write_bytes(encode_pcd(make_sweep(np.zeros((0, 3)))))
     assert len(read_pcd(tmp_path / "a.pcd")) == 0
 
 
-def test_ascii_colour_becomes_intensity_whether_packed_as_number_or_float(tmp_path: Path):
+def test_ascii_colour_becomes_intensity_whether_packed_as_number_or_float(tmp_path: Path) -> None:
     packed = 51 << 16
     as_float = repr(float(np.array(packed, np.uint32).view(np.float32)))
     for kind, rgb in (("U", str(packed)), ("F", as_float), ("I", str(packed))):
@@ -69,7 +69,7 @@ def test_ascii_colour_becomes_intensity_whether_packed_as_number_or_float(tmp_pa
 @pytest.mark.parametrize("compiled", [True, False])
 def test_text_may_have_any_columns_in_any_order_and_no_last_line_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line_end: str, compiled: bool
-):
+) -> None:
     if not compiled:
         monkeypatch.setattr(pcd, "read_numbers", lambda text, count: None)
     n = 50
@@ -95,7 +95,7 @@ def test_text_may_have_any_columns_in_any_order_and_no_last_line_end(
     assert np.array_equal(read_pcd(tmp_path / "a.pcd").points[:, 0], table["x"])
 
 
-def test_a_word_among_many_numbers_is_named(tmp_path: Path):
+def test_a_word_among_many_numbers_is_named(tmp_path: Path) -> None:
     head = ASCII.format(n=40, rgb=0, kind="U").split("DATA")[0] + "DATA ascii\n"
     (tmp_path / "a.pcd").write_text(head + "1 2 3 0\n" * 20 + "1 2 one 0\n" + "1 2 3 0\n" * 19)
     with pytest.raises(DataError, match=r"a.pcd: DATA: expected numbers, found .*'one'"):
@@ -105,7 +105,7 @@ def test_a_word_among_many_numbers_is_named(tmp_path: Path):
         read_pcd(tmp_path / "a.pcd")
 
 
-def test_intensity_of_0_to_255_is_scaled_when_there_is_no_colour(tmp_path: Path):
+def test_intensity_of_0_to_255_is_scaled_when_there_is_no_colour(tmp_path: Path) -> None:
     table = np.zeros(2, [("x", "<f8"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1"), ("_", "<f4")])
     table["intensity"] = [0, 255]
     (tmp_path / "a.pcd").write_bytes(encode_table(table))
@@ -113,7 +113,7 @@ def test_intensity_of_0_to_255_is_scaled_when_there_is_no_colour(tmp_path: Path)
 
 
 @pytest.mark.parametrize("cut", [1, 40, 41 * 400, 41 * 400 + 5, 41 * 400 + 200])
-def test_a_truncated_file_is_named(written: Path, cut: int):
+def test_a_truncated_file_is_named(written: Path, cut: int) -> None:
     written.write_bytes(written.read_bytes()[:-cut])
     with pytest.raises(DataError, match=r"000000.pcd: (DATA: expected 16400 bytes for 400 points|header)") as caught:
         read_pcd(written)
@@ -144,7 +144,7 @@ def test_a_truncated_file_is_named(written: Path, cut: int):
         ("DATA ascii", "", "header"),
     ],
 )
-def test_a_broken_file_gets_one_line_that_names_the_field(tmp_path: Path, old: str, new: str, message: str):
+def test_a_broken_file_gets_one_line_that_names_the_field(tmp_path: Path, old: str, new: str, message: str) -> None:
     text = ASCII.format(n=2, rgb=0, kind="U")
     assert old in text
     (tmp_path / "broken.pcd").write_text(text.replace(old, new))
@@ -154,7 +154,7 @@ def test_a_broken_file_gets_one_line_that_names_the_field(tmp_path: Path, old: s
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_without_the_newer_fields_reads_as_before(written: Path):
+def test_a_file_without_the_newer_fields_reads_as_before(written: Path) -> None:
     sweep, table = toy_frame(0).agents[0].sweep, read_table(written)
     older = table.dtype.names[:-2]
     assert table.dtype.names == (*older, "material", "cosine")
@@ -165,7 +165,7 @@ def test_a_file_without_the_newer_fields_reads_as_before(written: Path):
         assert np.array_equal(getattr(back, name), getattr(sweep, name)), name
 
 
-def test_infinite_intensity_and_a_missing_file_are_refused(written: Path):
+def test_infinite_intensity_and_a_missing_file_are_refused(written: Path) -> None:
     sweep = read_pcd(written)
     bad = sweep.intensity.copy()
     bad[3] = np.inf
@@ -190,7 +190,7 @@ def compressed(table: np.ndarray, packed: bytes | None = None, size: int | None 
     return head + np.array([len(packed), len(columns) if size is None else size], "<u4").tobytes() + packed
 
 
-def test_a_compressed_file_reads_as_the_plain_one(tmp_path: Path):
+def test_a_compressed_file_reads_as_the_plain_one(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     table = np.zeros(300, [("x", "<f4"), ("y", "<f8"), ("z", "<f4"), ("intensity", "u1"), ("ring", "<u2")])
     for name in ("x", "y", "z"):
@@ -202,7 +202,7 @@ def test_a_compressed_file_reads_as_the_plain_one(tmp_path: Path):
     assert np.array_equal(read_pcd(tmp_path / "packed.pcd").points, read_pcd(tmp_path / "plain.pcd").points)
 
 
-def test_lzf_repeats_earlier_bytes_even_those_it_is_writing():
+def test_lzf_repeats_earlier_bytes_even_those_it_is_writing() -> None:
     # "ab", then 5 bytes from 2 back (overlapping), then 7 + 2 + 3 = 12 bytes from 7 back, then a literal.
     packed = bytes([1]) + b"ab" + bytes([(5 - 2) << 5, 1]) + bytes([7 << 5, 3, 6]) + bytes([0]) + b"!"
     text = b"ab" + b"ababa"
@@ -221,7 +221,9 @@ def test_lzf_repeats_earlier_bytes_even_those_it_is_writing():
         (None, 17, "DATA: expected 16 bytes for 1 points, found 17 bytes"),
     ],
 )
-def test_a_damaged_compressed_file_gets_one_line(tmp_path: Path, packed: bytes | None, size: int | None, message: str):
+def test_a_damaged_compressed_file_gets_one_line(
+    tmp_path: Path, packed: bytes | None, size: int | None, message: str
+) -> None:
     table = np.zeros(1, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
     (tmp_path / "a.pcd").write_bytes(compressed(table, packed, size))
     with pytest.raises(DataError) as caught:
@@ -232,7 +234,7 @@ def test_a_damaged_compressed_file_gets_one_line(tmp_path: Path, packed: bytes |
         read_pcd(tmp_path / "a.pcd")
 
 
-def test_a_real_sensors_file_is_not_mirrored_and_marks_lost_beams_by_nan(tmp_path: Path):
+def test_a_real_sensors_file_is_not_mirrored_and_marks_lost_beams_by_nan(tmp_path: Path) -> None:
     table = np.zeros(3, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
     table["y"], table["intensity"] = [4.0, np.nan, -2.0], [255.0, 7.0, 64.0]
     (tmp_path / "a.pcd").write_bytes(encode_table(table))
@@ -241,7 +243,7 @@ def test_a_real_sensors_file_is_not_mirrored_and_marks_lost_beams_by_nan(tmp_pat
     assert sweep.intensity.tolist() == [255 / 256, 0.25]
 
 
-def test_a_sweep_survives_the_form_of_real_sensors_bit_for_bit(tmp_path: Path):
+def test_a_sweep_survives_the_form_of_real_sensors_bit_for_bit(tmp_path: Path) -> None:
     sweep = toy_frame(0).agents[0].sweep
     (tmp_path / "a.pcd").write_bytes(encode_sensor_pcd(sweep))
     back = read_pcd(tmp_path / "a.pcd", mirrored=False, full_scale=256.0)

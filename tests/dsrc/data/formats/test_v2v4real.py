@@ -82,7 +82,7 @@ def drive(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     return folder
 
 
-def test_both_cars_see_one_world(drive: Path):
+def test_both_cars_see_one_world(drive: Path) -> None:
     (reader,) = open_drives(drive.parent)
     assert reader.agents == (0, 1) and reader.frames == (0, 1, 2)
     frame = reader.read(1)
@@ -97,7 +97,7 @@ def test_both_cars_see_one_world(drive: Path):
         assert agent.sweep.intensity.max() == pytest.approx(198 / 255)
 
 
-def test_ids_follow_an_object_and_are_nobodys_own(drive: Path):
+def test_ids_follow_an_object_and_are_nobodys_own(drive: Path) -> None:
     (reader,) = open_drives(drive)
     ids = [reader.read(i).truth.object_id.tolist() for i in range(3)]
     assert ids[0] == ids[1] == ids[2] and len(set(ids[0])) == 3
@@ -108,7 +108,7 @@ def test_ids_follow_an_object_and_are_nobodys_own(drive: Path):
     assert len(sample.boxes) == 2  # the car and the truck; people are no vehicles
 
 
-def test_an_agents_own_car_has_its_id(drive: Path):
+def test_an_agents_own_car_has_its_id(drive: Path) -> None:
     path = drive / "0" / "000000.yaml"
     content = read_yaml(path)
     other = np.linalg.inv(lidar(0, 0)) @ lidar(1, 0)
@@ -125,7 +125,7 @@ def test_an_agents_own_car_has_its_id(drive: Path):
     assert len(make_sample(frame, 1, wide).boxes) == 2  # and none for itself
 
 
-def test_velocities_are_differences_of_places(drive: Path):
+def test_velocities_are_differences_of_places(drive: Path) -> None:
     (reader,) = open_drives(drive)
     for i in range(3):
         velocity = reader.read(i).velocity
@@ -148,7 +148,7 @@ def test_velocities_are_differences_of_places(drive: Path):
         ),
     ],
 )
-def test_a_broken_file_gets_one_line(drive: Path, change: dict, message: str):
+def test_a_broken_file_gets_one_line(drive: Path, change: dict, message: str) -> None:
     path = drive / "1" / "000001.yaml"
     content = read_yaml(path)
     path.write_text(yaml.dump(content | change))

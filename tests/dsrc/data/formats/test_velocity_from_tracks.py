@@ -10,7 +10,7 @@ def at(time_s: float, x: dict[int, float]) -> TimedBoxes:
     return TimedBoxes(time_s, boxes)
 
 
-def test_velocity_is_the_central_difference_where_both_sides_are_known():
+def test_velocity_is_the_central_difference_where_both_sides_are_known() -> None:
     now = at(1.0, {1: 5.0, 2: 0.0, 3: 7.0, 4: 1.0})
     velocity = tracked_velocity(now, at(0.9, {1: 4.0, 2: -0.2}), at(1.2, {1: 7.0, 3: 7.6}))
     assert velocity[0] == pytest.approx([10.0, 20.0])  # both
@@ -19,7 +19,7 @@ def test_velocity_is_the_central_difference_where_both_sides_are_known():
     assert np.isnan(velocity[3]).all()
 
 
-def test_velocity_is_unknown_over_a_long_pause_or_without_neighbours():
+def test_velocity_is_unknown_over_a_long_pause_or_without_neighbours() -> None:
     now = at(1.0, {1: 5.0})
     assert np.isnan(tracked_velocity(now, at(0.4, {1: 4.0}), at(2.0, {1: 7.0}))).all()
     assert np.isnan(tracked_velocity(now, None, None)).all()

@@ -22,22 +22,22 @@ VALUE = {
 }
 
 
-def test_every_yaml_reader_gets_back_what_was_written():
+def test_every_yaml_reader_gets_back_what_was_written() -> None:
     text = emit(VALUE)
     assert yaml.load(text, yaml.SafeLoader) == VALUE == yaml.load(text, yaml.CSafeLoader)
 
 
 @given(st.dictionaries(st.text(max_size=100), st.text(), min_size=1))
-def test_any_text_is_read_back_by_every_yaml_reader(value: dict[str, str]):
+def test_any_text_is_read_back_by_every_yaml_reader(value: dict[str, str]) -> None:
     text = emit(value)
     assert yaml.load(text, yaml.SafeLoader) == value == yaml.load(text, yaml.CSafeLoader)
 
 
-def test_half_of_a_character_becomes_a_mark_that_can_be_read():
+def test_half_of_a_character_becomes_a_mark_that_can_be_read() -> None:
     assert yaml.safe_load(emit({"name": "a\ud83db"})) == {"name": "a\ufffdb"}
 
 
-def test_an_empty_array_does_not_stand_for_more_values_than_a_file_may_have(tmp_path: Path):
+def test_an_empty_array_does_not_stand_for_more_values_than_a_file_may_have(tmp_path: Path) -> None:
     text = (
         "a: !!python/object/apply:numpy.core.multiarray._reconstruct\n"
         "  args: [!!python/name:numpy.ndarray '', [0], !!binary Yg==]\n"
@@ -48,7 +48,7 @@ def test_an_empty_array_does_not_stand_for_more_values_than_a_file_may_have(tmp_
         parse_yaml(tmp_path / "a.yaml", text)
 
 
-def test_only_plain_finite_values_are_written():
+def test_only_plain_finite_values_are_written() -> None:
     for bad in (float("nan"), float("inf"), object()):
         with pytest.raises(ValueError, match="YAML"):
             emit({"a": bad})
@@ -73,7 +73,7 @@ def test_only_plain_finite_values_are_written():
         ("a: \x00", "not YAML"),
     ],
 )
-def test_a_bad_file_gets_one_line_and_is_never_executed(tmp_path: Path, text: str, message: str):
+def test_a_bad_file_gets_one_line_and_is_never_executed(tmp_path: Path, text: str, message: str) -> None:
     marker = tmp_path / "executed"
     (tmp_path / "a.yaml").write_text(text.replace("{marker}", str(marker)))
     with pytest.raises(DataError) as caught:
@@ -82,13 +82,13 @@ def test_a_bad_file_gets_one_line_and_is_never_executed(tmp_path: Path, text: st
     assert not marker.exists()
 
 
-def test_bytes_that_are_no_text_are_refused(tmp_path: Path):
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DataError, match="UTF-8"):
         read_yaml(tmp_path / "a.yaml")
 
 
-def test_numpys_numbers_and_arrays_are_read_as_plain_ones(tmp_path: Path):
+def test_numpys_numbers_and_arrays_are_read_as_plain_ones(tmp_path: Path) -> None:
     value = {
         "matrix": np.arange(12.0).reshape(3, 4),
         "columns": np.asfortranarray(np.arange(6).reshape(2, 3)),
@@ -131,13 +131,13 @@ tables = st.recursive(
 
 
 @given(tables, st.sampled_from([False, None]), st.sampled_from([2, 4]))
-def test_what_pyyaml_lays_out_is_read_as_pyyaml_reads_it(table: dict, flow: bool | None, indent: int):
+def test_what_pyyaml_lays_out_is_read_as_pyyaml_reads_it(table: dict, flow: bool | None, indent: int) -> None:
     text = yaml.dump(table, default_flow_style=flow, indent=indent)
     assert repr(parse_yaml(Path("a.yaml"), text)) == repr(yaml.load(text, yaml.SafeLoader))
 
 
 @given(tables, st.data())
-def test_damaged_files_are_read_as_pyyaml_reads_them_or_refused(table: dict, data: st.DataObject):
+def test_damaged_files_are_read_as_pyyaml_reads_them_or_refused(table: dict, data: st.DataObject) -> None:
     text = yaml.dump(table)
     place = data.draw(st.integers(0, len(text)))
     text = (
@@ -180,7 +180,7 @@ def test_damaged_files_are_read_as_pyyaml_reads_them_or_refused(table: dict, dat
         "a\n",
     ],
 )
-def test_odd_layouts_are_read_as_pyyaml_reads_them(text: str):
+def test_odd_layouts_are_read_as_pyyaml_reads_them(text: str) -> None:
     try:
         expected = yaml.load(text, yaml.SafeLoader)
     except yaml.YAMLError:
@@ -192,7 +192,7 @@ def test_odd_layouts_are_read_as_pyyaml_reads_them(text: str):
             parse_yaml(Path("a.yaml"), text)
 
 
-def test_opv2vs_files_do_without_the_library(monkeypatch: pytest.MonkeyPatch):
+def test_opv2vs_files_do_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
     content = {
         "camera0": {"extrinsic": [[1.0, 0.5], [-2.0e-17, 1]], "cords": [1.5, -2.0]},
         "ego_speed": 3.25,

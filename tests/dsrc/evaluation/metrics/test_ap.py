@@ -47,7 +47,7 @@ def golden_frames():
     ]
 
 
-def test_every_detection_of_the_golden_frames_is_judged_as_released():
+def test_every_detection_of_the_golden_frames_is_judged_as_released() -> None:
     golden, frames = golden_frames()
     for i, frame in enumerate(frames):
         iou = bev_iou(frame.detections.boxes.array, frame.truth.array)
@@ -56,7 +56,7 @@ def test_every_detection_of_the_golden_frames_is_judged_as_released():
             np.testing.assert_array_equal(hit, golden[f"tp_{digit}/{i}"].astype(bool), err_msg=f"{i} {digit}")
 
 
-def test_ap_equals_the_released_one_to_twelve_digits_in_both_orders():
+def test_ap_equals_the_released_one_to_twelve_digits_in_both_orders() -> None:
     expected = json.loads((GOLDENS / "ap.json").read_text())["results"]
     golden, frames = golden_frames()
     result = evaluate(frames)
@@ -70,7 +70,7 @@ def test_ap_equals_the_released_one_to_twelve_digits_in_both_orders():
         np.testing.assert_allclose(precision, golden[f"curve_{digit}_global/prec"], atol=1e-9)
 
 
-def test_only_the_opencood_order_depends_on_the_order_of_frames():
+def test_only_the_opencood_order_depends_on_the_order_of_frames() -> None:
     expected = json.loads((GOLDENS / "ap.json").read_text())["results"]["0.5"]
     _, frames = golden_frames()
     backwards = evaluate(frames[::-1]).curves["bev", 0.5]
@@ -78,7 +78,7 @@ def test_only_the_opencood_order_depends_on_the_order_of_frames():
     assert backwards.ap_opencood == pytest.approx(expected["ap_local_reversed_frame_order"], abs=1e-9)
 
 
-def test_evaluating_twice_gives_the_same():
+def test_evaluating_twice_gives_the_same() -> None:
     _, frames = golden_frames()
     assert evaluate(frames).metrics() == evaluate(frames).metrics()
 
@@ -128,7 +128,7 @@ def random_frames(rng, n):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_ap_equals_brute_force_on_random_sets(seed):
+def test_ap_equals_brute_force_on_random_sets(seed: int) -> None:
     frames = random_frames(np.random.default_rng(seed), 8)
     result = evaluate(frames)
     for (space, threshold), curve in result.curves.items():
@@ -136,7 +136,7 @@ def test_ap_equals_brute_force_on_random_sets(seed):
         assert curve.ap == pytest.approx(expected, abs=1e-9), (space, threshold)
 
 
-def test_frames_may_be_judged_in_parts_and_asked_for_some_boxes_only():
+def test_frames_may_be_judged_in_parts_and_asked_for_some_boxes_only() -> None:
     frames = random_frames(np.random.default_rng(11), 9)
     whole, parts = (
         match_frames(frames),
@@ -153,7 +153,7 @@ def test_frames_may_be_judged_in_parts_and_asked_for_some_boxes_only():
     assert len(found.score) == len(whole.score)
 
 
-def test_a_perfect_detector_has_ap_1_and_the_truth_itself_is_one():
+def test_a_perfect_detector_has_ap_1_and_the_truth_itself_is_one() -> None:
     frames = random_frames(np.random.default_rng(9), 10)
     frames = [
         FrameResult(Detections(f.truth, np.linspace(0.9, 0.3, len(f.truth)).astype(np.float32)), f.truth)
@@ -162,7 +162,7 @@ def test_a_perfect_detector_has_ap_1_and_the_truth_itself_is_one():
     assert all(ap == pytest.approx(1.0) for ap in evaluate(frames).metrics().values())
 
 
-def test_height_counts_in_3d_only():
+def test_height_counts_in_3d_only() -> None:
     frames = random_frames(np.random.default_rng(10), 10)
     lifted = []
     for frame in frames:
@@ -173,14 +173,14 @@ def test_height_counts_in_3d_only():
     assert result.curves["3d", 0.3].ap == 0.0
 
 
-def test_a_false_alarm_lowers_ap_only_where_it_outranks_a_hit():
+def test_a_false_alarm_lowers_ap_only_where_it_outranks_a_hit() -> None:
     recall, precision = precision_recall(np.array([True, True, False]), 2)
     assert average_precision(recall, precision, 2) == 1.0
     recall, precision = precision_recall(np.array([False, True, True]), 2)
     assert average_precision(recall, precision, 2) == pytest.approx(2 / 3)
 
 
-def test_without_detections_ap_is_0_and_without_truth_it_is_undefined():
+def test_without_detections_ap_is_0_and_without_truth_it_is_undefined() -> None:
     car = Boxes.from_array([[0, 0, 0, 4, 2, 1.5, 0]])
     nothing_found = evaluate([FrameResult(Detections.zeros(), car)])
     assert set(nothing_found.metrics().values()) == {0.0}
@@ -190,7 +190,7 @@ def test_without_detections_ap_is_0_and_without_truth_it_is_undefined():
     assert all(math.isnan(ap) for ap in evaluate([]).metrics().values())
 
 
-def test_metrics_are_named_by_order_space_and_threshold():
+def test_metrics_are_named_by_order_space_and_threshold() -> None:
     assert metric_name("bev", 0.5) == "ap_bev_50"
     assert metric_name("3d", 0.7, opencood=True) == "ap_opencood_3d_70"
 
@@ -199,7 +199,7 @@ def curve(hits, n_truth):
     return *precision_recall(np.array(hits, bool), n_truth), n_truth
 
 
-def test_the_recalls_of_kitti_by_hand():
+def test_the_recalls_of_kitti_by_hand() -> None:
     # Hit, miss, hit of four objects: precision 1 up to recall 1/4, 2/3 up to 1/2, 0 beyond.
     found = curve([1, 0, 1], 4)
     assert average_precision(*found, "11") == pytest.approx((3 * 1.0 + 3 * 2 / 3) / 11)  # 0 .1 .2, .3 .4 .5
@@ -211,7 +211,7 @@ def test_the_recalls_of_kitti_by_hand():
 
 
 @pytest.mark.parametrize("n_truth", [3, 7, 10, 20, 40, 120])
-def test_a_perfect_detector_has_every_recall(n_truth):
+def test_a_perfect_detector_has_every_recall(n_truth: int) -> None:
     perfect = curve([1] * n_truth, n_truth)
     assert average_precision(*perfect) == average_precision(*perfect, "11") == average_precision(*perfect, "40") == 1.0
     # DAIR-V2X's area begins at the first detection: its share of the objects is lost.
@@ -219,12 +219,12 @@ def test_a_perfect_detector_has_every_recall(n_truth):
 
 
 @pytest.mark.parametrize("recalls", ["all", "all-but-first", "11", "40"])
-def test_no_detections_and_no_objects(recalls):
+def test_no_detections_and_no_objects(recalls: str) -> None:
     assert average_precision(*curve([], 5), recalls) == 0.0
     assert math.isnan(average_precision(*curve([0], 0), recalls))
 
 
-def test_true_boxes_that_choose_first_take_the_nearest_detection():
+def test_true_boxes_that_choose_first_take_the_nearest_detection() -> None:
     truth = Boxes.from_array([[0, 0, 0, 4, 2, 1.5, 0], [1.0, 0, 0, 4, 2, 1.5, 0]])
     # The best detection lies nearer to the second object, the other one nearer to it too.
     found = Detections(
@@ -236,13 +236,13 @@ def test_true_boxes_that_choose_first_take_the_nearest_detection():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_one_object_or_none_gives_the_same_matches_whoever_chooses(seed):
+def test_one_object_or_none_gives_the_same_matches_whoever_chooses(seed: int) -> None:
     frames = [FrameResult(f.detections, f.truth[:1]) for f in random_frames(np.random.default_rng(seed), 12)]
     ours, theirs = match_frames(frames), match_frames(frames, by="truth")
     for key, matched in ours.matched.items():
         assert ((matched >= 0).sum(), (theirs.matched[key] >= 0).sum()) == ((matched >= 0).sum(),) * 2
 
 
-def test_an_overlap_of_exactly_the_threshold_is_a_hit():
+def test_an_overlap_of_exactly_the_threshold_is_a_hit() -> None:
     pairs = Pairs(np.array([0, 1]), np.array([0, 1]), np.array([0.5, np.nextafter(0.5, 0.0)]))
     assert pairs.matched(0.5, detections=2).tolist() == [0, -1]

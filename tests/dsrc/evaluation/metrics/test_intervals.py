@@ -41,7 +41,7 @@ def made_up(frames: int, skill: float, seed: int) -> RankedDetections:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_each_frame_once_is_the_average_precision_itself(seed):
+def test_each_frame_once_is_the_average_precision_itself(seed: int) -> None:
     judged = match_frames(random_frames(np.random.default_rng(seed), 30))
     found = resampled_ap(RankedDetections.of(judged, (0.3, 0.5, 0.7)), np.ones((1, 30), np.float32))
     curves = evaluate_matches(judged).curves
@@ -49,7 +49,7 @@ def test_each_frame_once_is_the_average_precision_itself(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_sorted_inside_frames_it_is_that_of_opencood_also_without_the_boxes_below_a_score(seed):
+def test_sorted_inside_frames_it_is_that_of_opencood_also_without_the_boxes_below_a_score(seed: int) -> None:
     judged = match_frames(random_frames(np.random.default_rng(seed), 30))
     ranked = RankedDetections.of(judged, (0.5,), inside_frames=True)
     curve = evaluate_matches(judged).curves["bev", 0.5]
@@ -64,7 +64,7 @@ def test_sorted_inside_frames_it_is_that_of_opencood_also_without_the_boxes_belo
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_weights_say_what_copies_of_the_frames_say(seed):
+def test_weights_say_what_copies_of_the_frames_say(seed: int) -> None:
     rng = np.random.default_rng(seed)
     frames = random_frames(rng, 12)
     # No two detections of a frame are equally sure, so that the order of the copies does not matter.
@@ -76,7 +76,7 @@ def test_weights_say_what_copies_of_the_frames_say(seed):
         assert found[:, row] == pytest.approx([curves["bev", iou].ap for iou in (0.5, 0.7)], abs=1e-12)
 
 
-def test_a_case_that_can_be_counted_by_hand():
+def test_a_case_that_can_be_counted_by_hand() -> None:
     # Frame 0: a hit at 0.9 and a miss at 0.5 of two boxes; frame 1: a miss at 0.8 and a hit at 0.7 of one box.
     judged = Matches(
         np.array([2, 1]),
@@ -90,7 +90,7 @@ def test_a_case_that_can_be_counted_by_hand():
     np.testing.assert_allclose(resampled_ap(RankedDetections.of(judged), weights), [expected, expected], atol=1e-12)
 
 
-def test_a_resample_has_as_many_frames_or_drives_as_there_are():
+def test_a_resample_has_as_many_frames_or_drives_as_there_are() -> None:
     frames = draw_weights(np.arange(9), 500, np.random.default_rng(1))
     assert frames.shape == (500, 9) and (frames.sum(axis=1) == 9).all()
     assert abs(frames.mean(axis=0) - 1.0).max() < 0.2
@@ -101,13 +101,13 @@ def test_a_resample_has_as_many_frames_or_drives_as_there_are():
     np.testing.assert_array_equal(drives, again)
 
 
-def test_a_method_against_itself_differs_by_exactly_0():
+def test_a_method_against_itself_differs_by_exactly_0() -> None:
     hits = made_up(40, 0.6, 0)
     assert difference(hits, hits, np.arange(40)) == (0.0, 0.0)
     assert not Interval(0.0, 0.0).excludes_zero
 
 
-def test_the_interval_shrinks_with_the_root_of_the_number_of_frames():
+def test_the_interval_shrinks_with_the_root_of_the_number_of_frames() -> None:
     widths = [
         high - low
         for n in (25, 400)
@@ -116,7 +116,7 @@ def test_the_interval_shrinks_with_the_root_of_the_number_of_frames():
     assert widths[0] / widths[1] == pytest.approx(4.0, rel=0.3)
 
 
-def test_an_interval_holds_the_truth_as_often_as_it_says():
+def test_an_interval_holds_the_truth_as_often_as_it_says() -> None:
     held = 0
     for trial in range(60):
         low, high = difference(made_up(30, 0.6, 2 * trial), made_up(30, 0.6, 2 * trial + 1), np.arange(30), trial, 200)
@@ -126,7 +126,7 @@ def test_an_interval_holds_the_truth_as_often_as_it_says():
 
 
 @pytest.mark.parametrize("units", [5, 7, 40])
-def test_of_a_mean_of_few_normal_values_the_interval_is_students(units):
+def test_of_a_mean_of_few_normal_values_the_interval_is_students(units: int) -> None:
     sample = stats.norm.ppf((np.arange(units) + 0.5) / units)
     # Resampled means of such a sample are normal, with its deviation over n, not over n - 1.
     means = sample.std() / np.sqrt(units) * stats.norm.ppf((np.arange(20_000) + 0.5) / 20_000)
@@ -135,7 +135,7 @@ def test_of_a_mean_of_few_normal_values_the_interval_is_students(units):
     assert (-low, high) == pytest.approx((wanted, wanted), rel=5e-3)
 
 
-def test_frames_of_a_drive_that_are_alike_widen_the_interval_by_drive():
+def test_frames_of_a_drive_that_are_alike_widen_the_interval_by_drive() -> None:
     def alike(skills: list[float], seed: int) -> RankedDetections:
         return RankedDetections.of(join_matches([judged_of(20, skill, seed + k) for k, skill in enumerate(skills)]))
 
@@ -144,7 +144,7 @@ def test_frames_of_a_drive_that_are_alike_widen_the_interval_by_drive():
     assert by_drive.high - by_drive.low > 2.0 * (by_frame.high - by_frame.low)
 
 
-def test_where_nothing_is_found_it_is_0_and_where_nothing_is_there_unknown():
+def test_where_nothing_is_found_it_is_0_and_where_nothing_is_there_unknown() -> None:
     nothing = np.zeros(0, np.float32)
     nowhere = {("bev", iou): np.zeros(0, np.int64) for iou in (0.5, 0.7)}
     hits = RankedDetections.of(Matches(np.array([3, 0]), np.array([0, 0]), nothing, nowhere))

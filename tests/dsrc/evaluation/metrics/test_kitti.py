@@ -1,6 +1,7 @@
 """KITTI's average precision: worked out by hand, and equal to another evaluator's."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -85,7 +86,7 @@ def test_fewer_cars_than_recalls_get_less_as_in_the_kit() -> None:
         ((row_of(40), 0.95, image(40)), None, 2 / 3),
     ],
 )
-def test_what_counts_neither_way(false, true, precision) -> None:
+def test_what_counts_neither_way(false, true, precision: float) -> None:
     """40 detections, more confident than all others."""
     found = counted([CARS_FOUND, false], [TRUE_CARS] if true is None else [TRUE_CARS, true])
     assert found.truth == CARS
@@ -114,7 +115,7 @@ def test_levels_ask_more_of_the_image() -> None:
         assert tuple(counted([CARS_FOUND], [(row_of(80), part)], level).truth for level in LEVELS) == counts
 
 
-def test_numbers_equal_those_of_mmdet3d(tmp_path) -> None:
+def test_numbers_equal_those_of_mmdet3d(tmp_path: Path) -> None:
     expected = json.loads((GOLDENS / "kitti_scores.json").read_text())
     tree = unpack("kitti_boxes", tmp_path)
     found = score(tree / "found", tree / "label_2", [name for name, one in PROTOCOLS.items() if one.level])

@@ -19,7 +19,7 @@ UNRATED = [name for name, protocol in PROTOCOLS.items() if protocol.level is Non
 
 
 @pytest.mark.parametrize(("name", "order"), [("opencood", "ap_local"), ("opencood-global", "ap_global")])
-def test_opencood_is_equalled_to_twelve_digits(name, order):
+def test_opencood_is_equalled_to_twelve_digits(name: str, order: str) -> None:
     expected = json.loads((GOLDENS / "ap.json").read_text())["results"]
     _, frames = golden_frames()
     (found,) = score([frame.detections for frame in frames], [frame.truth for frame in frames], name)
@@ -30,7 +30,7 @@ def test_opencood_is_equalled_to_twelve_digits(name, order):
         assert (found.truth, found.detections) == (want["gt"], want["n_det"])
 
 
-def test_one_set_of_boxes_has_as_many_averages_as_protocols():
+def test_one_set_of_boxes_has_as_many_averages_as_protocols() -> None:
     _, frames = golden_frames()
     found = score([frame.detections for frame in frames], [frame.truth for frame in frames], "all")
     assert [one.protocol.name for one in found] == UNRATED
@@ -41,7 +41,7 @@ def test_one_set_of_boxes_has_as_many_averages_as_protocols():
     assert three_d == {"dair-vic", "kitti-r11", "kitti-r40", "testbed"}
 
 
-def test_names_are_those_of_the_help_and_cards_tell_protocols_apart():
+def test_names_are_those_of_the_help_and_cards_tell_protocols_apart() -> None:
     assert tuple(PROTOCOLS) == detection.PROTOCOLS
     cards = [protocol.card for protocol in PROTOCOLS.values()]
     assert len(set(cards)) == len(cards) and not any("\n" in card for card in cards)
@@ -49,7 +49,7 @@ def test_names_are_those_of_the_help_and_cards_tell_protocols_apart():
     assert all(re.search(r"20\d\d|OpenCOOD|dsrc", protocol.source) for protocol in PROTOCOLS.values())
 
 
-def test_a_box_counts_by_its_corners_in_the_range():
+def test_a_box_counts_by_its_corners_in_the_range() -> None:
     half_in = Boxes.from_array([[100.0, 0, -1, 4, 2, 1.5, 0], [50.0, 0, -1, 4, 2, 1.5, 0], [-1, 0, -1, 4, 2, 1.5, 0]])
     assert PROTOCOLS["dair-vic"].counts(half_in).tolist() == [True, True, True]
     assert PROTOCOLS["v2v4real"].counts(half_in).tolist() == [False, True, True]
@@ -59,7 +59,7 @@ def test_a_box_counts_by_its_corners_in_the_range():
     assert PROTOCOLS["coalign"].counts(wide).all() and not PROTOCOLS["coalign-v2x-vit"].counts(wide).any()
 
 
-def test_protocols_are_found_by_name_or_are_ones_own():
+def test_protocols_are_found_by_name_or_are_ones_own() -> None:
     own = Protocol(name="mine", source="here", range_m=(0.0, -10.0, -3.0, 20.0, 10.0, 1.0))
     assert get_protocols("all") == tuple(PROTOCOLS.values())
     assert [one.name for one in get_protocols("all", levels=False)] == UNRATED

@@ -14,22 +14,22 @@ PAPER = {
 
 
 @pytest.mark.parametrize("row", PAPER)
-def test_mce_of_the_papers_rows(row):
+def test_mce_of_the_papers_rows(row) -> None:
     clean, corrupted, expected = PAPER[row]
     assert 100 * mce(clean, dict(zip(KINDS, corrupted, strict=True))) == pytest.approx(expected, abs=0.01)
 
 
-def test_mean_ap_includes_the_clean_frames():
+def test_mean_ap_includes_the_clean_frames() -> None:
     clean, corrupted, _ = PAPER["dsrc 0.5"]
     assert mean_ap(clean, dict(zip(KINDS, corrupted, strict=True))) == pytest.approx(85.54, abs=0.01)
 
 
-def test_a_detector_that_finds_nothing_has_no_corruption_error():
+def test_a_detector_that_finds_nothing_has_no_corruption_error() -> None:
     assert math.isnan(mce(0.0, {"fog": 0.0}))
     assert math.isnan(mce(math.nan, {"fog": 0.5}))
     assert math.isnan(mce(0.8, {}))
     assert mean_ap(0.0, {"fog": 0.0}) == 0.0
 
 
-def test_a_corruption_that_helps_has_a_negative_error():
+def test_a_corruption_that_helps_has_a_negative_error() -> None:
     assert corruption_errors(0.5, {"fog": 0.6})["fog"] == pytest.approx(-0.2)

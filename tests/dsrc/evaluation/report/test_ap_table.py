@@ -17,7 +17,7 @@ def some_rows():
     return rows
 
 
-def test_the_terminal_table_fits_80_columns_and_names_everything():
+def test_the_terminal_table_fits_80_columns_and_names_everything() -> None:
     rows = [row for row in some_rows() if row.condition != "beam_missing"]
     rows += summary_rows(rows)
     console = Console(width=80, record=True, file=io.StringIO())
@@ -27,7 +27,7 @@ def test_the_terminal_table_fits_80_columns_and_names_everything():
         assert word in text
 
 
-def test_the_smallest_mce_is_the_best():
+def test_the_smallest_mce_is_the_best() -> None:
     rows = [
         Row("steady", MCE, 0, 1, 1, 0, {"ap_bev_50": 0.1}),
         Row("shaky", MCE, 0, 1, 1, 0, {"ap_bev_50": 0.3}),
@@ -39,7 +39,7 @@ def test_the_smallest_mce_is_the_best():
     assert "\x1b[1m30.0" not in styled
 
 
-def test_rows_are_found_by_method_and_condition():
+def test_rows_are_found_by_method_and_condition() -> None:
     rows = some_rows()
     assert methods_of(rows) == ["dsrc", "plain"]
     assert conditions_of([*rows, *summary_rows(rows)]) == ["clean", "fog", "beam_missing"]
@@ -47,7 +47,7 @@ def test_rows_are_found_by_method_and_condition():
     assert find_row(rows, "plain", "hail") is None
 
 
-def test_without_corruptions_or_without_clean_there_is_no_summary():
+def test_without_corruptions_or_without_clean_there_is_no_summary() -> None:
     rows = some_rows()
     assert summary_rows([r for r in rows if r.condition == "clean"]) == []
     assert summary_rows([r for r in rows if r.condition == "fog"]) == []

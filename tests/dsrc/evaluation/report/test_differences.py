@@ -55,11 +55,11 @@ def result() -> BenchmarkResult:
 
 
 @pytest.fixture(scope="module")
-def table(result) -> DifferenceTable:
+def table(result: BenchmarkResult) -> DifferenceTable:
     return table_of(result)
 
 
-def test_the_differences_are_those_of_the_rows(result, table):
+def test_the_differences_are_those_of_the_rows(result: BenchmarkResult, table: DifferenceTable) -> None:
     results = DatasetResults.of(result, "made up")
     own = {(one.method, one.condition, one.iou): one for one in table.differences}
     assert len(own) == len(table.differences) == 2 * 5 * 2
@@ -86,7 +86,7 @@ def test_the_differences_are_those_of_the_rows(result, table):
             assert low - 0.01 < one.value.mean < high + 0.01
 
 
-def test_what_differs_is_resolved_and_what_does_not_is_not_claimed(table):
+def test_what_differs_is_resolved_and_what_does_not_is_not_claimed(table: DifferenceTable) -> None:
     by_pair = {name: [one for one in table.differences if one.method == name] for name in ("dsrc", "late")}
     assert all(one.resolved for one in by_pair["dsrc"] if one.condition in ("clean", "fog", "snow", "mean_corrupted"))
     assert not any(one.resolved for one in by_pair["late"] if one.condition == "mean_corrupted")
@@ -98,7 +98,7 @@ def test_what_differs_is_resolved_and_what_does_not_is_not_claimed(table):
     assert none.claims().startswith("No difference is resolved")
 
 
-def test_bold_is_what_excludes_0(table):
+def test_bold_is_what_excludes_0(table: DifferenceTable) -> None:
     lines = [line for line in table.markdown().splitlines() if line.startswith("| dsrc") or line.startswith("| late")]
     assert len(lines) == 10
     for line, start in zip(lines, range(0, 20, 2), strict=True):
@@ -110,16 +110,18 @@ def test_bold_is_what_excludes_0(table):
             assert float(group[2].strip("*[").partition(",")[0]) == pytest.approx(100 * one.by_drive.low, abs=0.051)
 
 
-def test_the_same_rows_have_the_same_intervals_whatever_else_is_asked_for(result, table):
+def test_the_same_rows_have_the_same_intervals_whatever_else_is_asked_for(
+    result: BenchmarkResult, table: DifferenceTable
+) -> None:
     alone = changed(result, plan=replace(result.plan, differences=PAIRS[1:]))
     assert table_of(alone).differences == table.differences[10:]
 
 
-def test_a_drive_without_a_frame_is_none(result, table):
+def test_a_drive_without_a_frame_is_none(result: BenchmarkResult, table: DifferenceTable) -> None:
     assert table_of(changed(result, frames={"made up": (20, 0, 15, 15, 10)})) == table
 
 
-def test_of_a_single_drive_nothing_is_known_by_drive():
+def test_of_a_single_drive_nothing_is_known_by_drive() -> None:
     table = table_of(found_in((30,)))
     assert all(math.isnan(one.by_drive.low) and not math.isnan(one.by_frame.low) for one in table.differences)
     assert not any(one.resolved for one in table.differences)
@@ -128,7 +130,7 @@ def test_of_a_single_drive_nothing_is_known_by_drive():
     assert next(csv.DictReader(io.StringIO(table.csv())))["by_drive_low"] == ""
 
 
-def test_the_summary_has_a_line_per_pair_with_the_intervals_by_drive(table):
+def test_the_summary_has_a_line_per_pair_with_the_intervals_by_drive(table: DifferenceTable) -> None:
     lines = [line for line in table.summary().splitlines() if line.startswith(("| dsrc", "| late"))]
     assert len(lines) == 2
     own = {(one.method, one.condition, one.iou): one for one in table.differences}
@@ -143,7 +145,7 @@ def test_the_summary_has_a_line_per_pair_with_the_intervals_by_drive(table):
             assert cell.startswith("**") == one.resolved
 
 
-def test_trainings_are_paired_by_their_seeds_or_not_at_all(result, table):
+def test_trainings_are_paired_by_their_seeds_or_not_at_all(result: BenchmarkResult, table: DifferenceTable) -> None:
     swapped = {**result.trained, "dsrc": [changed(one, seed=1 - i) for i, one in enumerate(result.trained["dsrc"])]}
     crossed = table_of(changed(result, trained=swapped)).differences[0]
     a, b = (
@@ -158,7 +160,7 @@ def test_trainings_are_paired_by_their_seeds_or_not_at_all(result, table):
         assert math.isnan(unpaired.value.spread) and unpaired.value.mean == table.differences[0].value.mean
 
 
-def test_only_trainings_of_common_seeds_count_where_there_are_two():
+def test_only_trainings_of_common_seeds_count_where_there_are_two() -> None:
     result = found_in((20, 15, 15, 10), trainings=3)
     seeds = {"dsrc": (0, 1, 2), "attfuse": (2, 0, 7), "late": (5, 6, 7)}
     trained = {
@@ -183,19 +185,19 @@ def test_only_trainings_of_common_seeds_count_where_there_are_two():
     assert unclear.value.mean == pytest.approx(np.mean(dsrc) - np.mean(attfuse)) and unclear.seeds == ()
 
 
-def test_a_bound_near_0_tells_its_side():
+def test_a_bound_near_0_tells_its_side() -> None:
     near = changed(table_of(found_in((20, 15))).differences[0], by_drive=Interval(-0.0004, 0.02))
     assert _by_drive(near).endswith(" [-0.04, +2.0]")
 
 
-def test_footnotes_and_provenance_are_below_the_table(result):
+def test_footnotes_and_provenance_are_below_the_table(result: BenchmarkResult) -> None:
     note = Footnote(methods=("dsrc",), text="To be made anew.")
     text = table_of(changed(result, plan=replace(result.plan, notes=(note,)))).markdown()
     assert "| dsrc † − attfuse | Clean |" in text and "\n† To be made anew.\n" in text
     assert "60 frames and of 4 drives" in text and "1000 resamples" in text
 
 
-def test_dots_stand_at_the_differences_full_where_resolved(table):
+def test_dots_stand_at_the_differences_full_where_resolved(table: DifferenceTable) -> None:
     axes = difference_dots(table.differences[:10], "Differences").axes
     assert len(axes) == 2
     for k, panel in enumerate(axes):
@@ -206,7 +208,7 @@ def test_dots_stand_at_the_differences_full_where_resolved(table):
     assert [t.get_text() for t in axes[0].get_yticklabels()][-2:] == ["mean of the corruptions", "mCE"]
 
 
-def test_the_map_has_a_number_per_difference_and_a_colour_where_it_is_resolved(table):
+def test_the_map_has_a_number_per_difference_and_a_colour_where_it_is_resolved(table: DifferenceTable) -> None:
     axes = difference_map(table.differences, "Differences").axes[:2]
     for panel, iou in zip(axes, (0.5, 0.7), strict=True):
         shown = [one for one in table.differences if one.iou == iou]
@@ -217,7 +219,7 @@ def test_the_map_has_a_number_per_difference_and_a_colour_where_it_is_resolved(t
             assert np.sign(round(blue - red, 6)) == (np.sign(gain) if one.resolved else 0)
 
 
-def test_a_page_sums_up_many_pairs_and_links_the_whole_table(tmp_path):
+def test_a_page_sums_up_many_pairs_and_links_the_whole_table(tmp_path: Path) -> None:
     write_drives(tmp_path / "test")
     methods = {name: [(method, 0)] for name, method in (("DSRC", "dsrc"), ("plain", "attfuse"), ("late", "late"))}
     pairs = tuple(DifferenceSpec(method=name, baseline="plain") for name in ("DSRC", "late"))
@@ -230,7 +232,7 @@ def test_a_page_sums_up_many_pairs_and_links_the_whole_table(tmp_path):
         assert ("[The whole table](results/made-up/differences.md)" in page) is (count == 2)
 
 
-def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path):
+def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path: Path) -> None:
     write_drives(tmp_path / "test")
     pair = DifferenceSpec(method="DSRC", baseline="plain")
     settings = {"corruptions": ("beam_missing",), "differences": (pair,), "families": ("physical", "paper")}

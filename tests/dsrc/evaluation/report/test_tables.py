@@ -78,7 +78,7 @@ def tables_of(result: BenchmarkResult, dataset: str) -> dict[str, Table]:
     return {sheet.name: sheet for sheet in [*sheets, *(sweep_table(results, axis) for axis in axes_of(result))]}
 
 
-def test_table_1_has_the_papers_mce_and_mean_of_the_papers_numbers():
+def test_table_1_has_the_papers_mce_and_mean_of_the_papers_numbers() -> None:
     sheet = table_1(view_of({"v2vnet": 1, "dsrc": 1}))
     v2vnet, dsrc = sheet.rows
     assert [column.title for column in sheet.columns][:4] == ["Clean", "Beam missing", "Motion blur", "Fog"]
@@ -94,7 +94,7 @@ def test_table_1_has_the_papers_mce_and_mean_of_the_papers_numbers():
     assert text[5].endswith("| **8.9** / **15.5** | **85.5** / **76.7** | 1.5 | 20 |")
 
 
-def test_several_trainings_are_a_mean_and_a_spread():
+def test_several_trainings_are_a_mean_and_a_spread() -> None:
     sheet = table_1(view_of({"dsrc": 3, "v2vnet": 1}))
     clean = sheet.rows[0].cells[0][0]
     assert clean.mean == pytest.approx(0.9258 - 0.01) and clean.spread == pytest.approx(0.01)
@@ -111,13 +111,13 @@ def test_several_trainings_are_a_mean_and_a_spread():
     assert Stat.of([]).text(100, 1) == "-" and Stat.of([0.5, math.nan]).text(100, 1) == "-"
 
 
-def test_the_other_order_has_its_own_table():
+def test_the_other_order_has_its_own_table() -> None:
     sheet = table_1(view_of({"dsrc": 1}), opencood=True)
     assert sheet.rows[0].cells[0][0].mean == pytest.approx(0.8258)
     assert sheet.name == "table_1_opencood" and "inside each frame" in sheet.note
 
 
-def test_curves_hold_what_is_varied_in_ascending_order():
+def test_curves_hold_what_is_varied_in_ascending_order() -> None:
     result = outcome_of({"dsrc": 2}, sweeps=ParameterSweeps(agents=(3, 1, 2), pose_error=(0.4, 0.2)))
     agents, errors = axes_of(result)
     results = DatasetResults.of(result, "made up")
@@ -130,7 +130,7 @@ def test_curves_hold_what_is_varied_in_ascending_order():
     assert [cell[0].mean for cell in line.cells] == pytest.approx([0.9208, 0.9008, 0.8808])
 
 
-def test_a_severity_that_is_not_the_papers_is_shown_where_it_is_the_only_one():
+def test_a_severity_that_is_not_the_papers_is_shown_where_it_is_the_only_one() -> None:
     results = view_of({"dsrc": 1}, severities=(5, 1), corruptions=("fog",))
     assert results.severity == 5 and results.kinds() == ["fog"]
     assert view_of({"dsrc": 1}, severities=(1, 3)).severity == 3
@@ -139,13 +139,13 @@ def test_a_severity_that_is_not_the_papers_is_shown_where_it_is_the_only_one():
     assert entry.case.condition == Condition("fog", 1)
 
 
-def test_clean_frames_alone_have_no_mce():
+def test_clean_frames_alone_have_no_mce() -> None:
     sheet = table_1(view_of({"dsrc": 1}, corruptions=("clean",)))
     assert [column.title for column in sheet.columns] == ["Clean", "mCE", "mAP", "kB / frame", "ms / frame"]
     assert "| dsrc | 92.6 / 88.5 | - / - | - / - | 1.5 | 20 |" in sheet.markdown()
 
 
-def test_every_table_says_what_its_numbers_come_from():
+def test_every_table_says_what_its_numbers_come_from() -> None:
     methods = {"late": 1, "where2comm": 1, "attfuse": 1, "dsrc": 3, "f-cooper": 1, "dsrc-max": 1}
     result = outcome_of(
         methods, severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)), channels=("ideal", "its-g5-6")
@@ -168,7 +168,7 @@ def test_every_table_says_what_its_numbers_come_from():
     assert "not known (late)" in table_1(results).note
 
 
-def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
+def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path: Path) -> None:
     notes = (
         Footnote(methods=("dsrc", "no rec"), text="To be made anew."),
         Footnote(methods=("late",), text="Early, too."),
@@ -186,7 +186,7 @@ def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path):
     assert write_report(result, tmp_path)
 
 
-def test_a_start_has_a_column_where_a_method_says_so():
+def test_a_start_has_a_column_where_a_method_says_so() -> None:
     result = outcome_of({"v2vnet": 1, "dsrc": 1})
     assert table_1(DatasetResults.of(result, "made up")).columns[0].title == "Clean"
     first, second = result.plan.methods
@@ -200,7 +200,7 @@ def test_a_start_has_a_column_where_a_method_says_so():
     assert float(rows[1]["Clean 0.5"]) == pytest.approx(0.9258)
 
 
-def test_each_family_of_corruptions_has_its_own_table_1():
+def test_each_family_of_corruptions_has_its_own_table_1() -> None:
     result = outcome_of({"dsrc": 1, "attfuse": 1}, families=("physical", "paper"), corruptions=("fog", "snow"))
     weaker = [
         changed(e, row=changed(e.row, metrics={name: v / 2 for name, v in e.row.metrics.items()}))
@@ -221,7 +221,7 @@ def test_each_family_of_corruptions_has_its_own_table_1():
     assert "Severity 3 of the published models." in paper.note and "Severity 3. " in physical.note
 
 
-def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path):
+def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path: Path) -> None:
     result = outcome_of(
         dict.fromkeys(METHODS, 1), name="Small", severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2))
     )
@@ -262,7 +262,7 @@ def files_below(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_results_may_lie_in_the_documents_own_folder(tmp_path):
+def test_results_may_lie_in_the_documents_own_folder(tmp_path: Path) -> None:
     out = tmp_path / "results" / "small"
     sections = write_report(outcome_of({"dsrc": 1}, name="Small"), out)
     before = (out / "results.json").read_bytes()

@@ -42,7 +42,7 @@ def found_in(boxes: Boxes, seed: int) -> Detections:
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory) -> tuple[Path, dict[FrameKey, Detections]]:
+def world(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[FrameKey, Detections]]:
     """One drive, and detections in its frames."""
     root = tmp_path_factory.mktemp("score")
     for index in range(FRAMES):
@@ -79,7 +79,7 @@ def numbers(scores):
     return {(one.protocol.name, *key): value for one in scores for key, value in one.ap.items()}
 
 
-def test_json_kitti_and_memory_score_alike(world) -> None:
+def test_json_kitti_and_memory_score_alike(world: tuple[Path, dict[FrameKey, Detections]]) -> None:
     root, frames = world
     by_json = score(as_json(root / "boxes.json", frames), root / "data", "all")
     assert [(one.name, one.protocol.name) for one in by_json] == [("boxes", name) for name in UNRATED]
@@ -120,7 +120,7 @@ def test_dumped_corners_score_as_opencood_scored_them(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory):
+def stored(tmp_path_factory: pytest.TempPathFactory):
     root = tmp_path_factory.mktemp("stored")
     write_drives(root / "test", drives=2)
     checkpoint = f"DSRC={write_detector(root / 'dsrc.pt', 'dsrc')}"
@@ -148,7 +148,9 @@ def test_stored_results_score_what_their_evaluation_says(stored) -> None:
         score(config.out, corruption="fogg")
 
 
-def test_the_command_writes_tables_with_the_card_beside_each_number(world, capsys, tmp_path) -> None:
+def test_the_command_writes_tables_with_the_card_beside_each_number(
+    world: tuple[Path, dict[FrameKey, Detections]], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     root, frames = world
     boxes = as_json(root / "again.json", frames)
     for _ in range(2):  # its own files may be replaced
@@ -166,7 +168,9 @@ def test_the_command_writes_tables_with_the_card_beside_each_number(world, capsy
     assert (tmp_path / "scores" / "scores.png").stat().st_size > 10_000
 
 
-def test_the_command_refuses_in_one_line(world, capsys, tmp_path: Path) -> None:
+def test_the_command_refuses_in_one_line(
+    world: tuple[Path, dict[FrameKey, Detections]], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     root, frames = world
     boxes, data = str(as_json(tmp_path / "boxes.json", frames)), str(root / "data")
     one = as_kitti(tmp_path / "kitti", frames) / "000000.txt"
@@ -201,7 +205,7 @@ def test_several_sets_share_a_table() -> None:
     assert not first.caption and last.caption.startswith("opencood: ") and last.caption.endswith("other: half of it.")
 
 
-def test_boxes_of_another_data_set_are_doubted(world) -> None:
+def test_boxes_of_another_data_set_are_doubted(world: tuple[Path, dict[FrameKey, Detections]]) -> None:
     _, frames = world
     own = [Boxes.from_array(np.repeat(found.boxes.array, 4, axis=0)) for found in frames.values()]
     assert len(own[0]) * FRAMES >= 20
@@ -239,7 +243,7 @@ def test_a_wrong_json_is_one_line(tmp_path: Path, content: str, said: str) -> No
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
 
 
-def test_what_is_no_detection_is_one_line(world, tmp_path: Path) -> None:
+def test_what_is_no_detection_is_one_line(world: tuple[Path, dict[FrameKey, Detections]], tmp_path: Path) -> None:
     _, frames = world
     with pytest.raises(DataError, match="nowhere: no such file or folder"):
         score(tmp_path / "nowhere")

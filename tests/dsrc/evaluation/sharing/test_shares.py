@@ -69,7 +69,7 @@ class Says:
 
     settings = SampleRequest(GRID)
 
-    def __init__(self, says):
+    def __init__(self, says) -> None:
         self.says = says
 
     def detect(self, sample: Sample) -> Detections:
@@ -162,14 +162,16 @@ def test_frames_without_a_box_are_counted(world) -> None:
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory):
+def world(tmp_path_factory: pytest.TempPathFactory):
     root = tmp_path_factory.mktemp("shares")
     write_drives(root / "test", drives=1)
     write_detector(root / "net.pt", "attfuse")
     return root
 
 
-def test_the_command_writes_a_line_per_agent_and_box_and_prints_a_table(world, capsys) -> None:
+def test_the_command_writes_a_line_per_agent_and_box_and_prints_a_table(
+    world, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = world / "out"
     options = ["--corruption", "beam_missing", "--channel", "its-g5-6", "--iou", "0.3"]
     main(["shares", str(world / "test"), "--checkpoint", str(world / "net.pt"), "--out", str(out), *options])
@@ -210,7 +212,7 @@ def test_shares_are_the_same_again_and_limits_hold(world) -> None:
         share_drives(Sharing(checkpoint=world / "net.pt", data=world / "test", out=world, severity=9))
 
 
-def test_an_interrupted_run_resumes_with_the_same_bytes_for_any_workers(world, monkeypatch) -> None:
+def test_an_interrupted_run_resumes_with_the_same_bytes_for_any_workers(world, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drives, "CHUNK", 1)
     options = ["--corruption", "fog", "--checkpoint", str(world / "net.pt")]
 

@@ -27,7 +27,7 @@ cropped = arrays(np.float32, st.tuples(st.integers(0, 60), st.just(4)), elements
 
 
 @given(clouds, clouds, st.integers(1, 4), st.integers(1, 40))
-def test_pillars_are_the_voxelisers(first, second, max_points: int, max_pillars: int):
+def test_pillars_are_the_voxelisers(first, second, max_points: int, max_pillars: int) -> None:
     settings = replace(SETTINGS, max_points=max_points, max_pillars=max_pillars)
     found = pillars_of([first, second], settings)
     voxels = [
@@ -42,7 +42,7 @@ def test_pillars_are_the_voxelisers(first, second, max_points: int, max_pillars:
 
 
 @given(st.lists(cropped, min_size=1, max_size=2), st.sampled_from([0.4, 0.5, 4.0]))
-def test_a_scenes_voxels_are_those_of_numpy(merged, cell_z: float):
+def test_a_scenes_voxels_are_those_of_numpy(merged, cell_z: float) -> None:
     scene = scene_of(merged, replace(SETTINGS, reconstruction_cell_z_m=cell_z))
     shape = (round(4.0 / cell_z), 8, 16)
     voxels, offsets = [], []
@@ -59,7 +59,7 @@ def test_a_scenes_voxels_are_those_of_numpy(merged, cell_z: float):
     assert np.array_equal(scene.offset.numpy(), np.concatenate(offsets))
 
 
-def test_a_voxels_offset_is_that_of_the_mean_of_its_points():
+def test_a_voxels_offset_is_that_of_the_mean_of_its_points() -> None:
     cloud = np.array([[0.1, 0.1, 0.1, 1.0], [0.3, 0.1, 0.15, 1.0], [-1.0, -1.0, -1.0, 1.0]], np.float32)
     scene = scene_of([cloud], SETTINGS)
     assert scene.voxel.tolist() == [[0, 5, 1, 5], [0, 7, 4, 8]]
@@ -67,12 +67,12 @@ def test_a_voxels_offset_is_that_of_the_mean_of_its_points():
 
 
 @given(clouds)
-def test_a_point_that_is_nowhere_is_in_no_cell_beyond_the_grid(cloud):
+def test_a_point_that_is_nowhere_is_in_no_cell_beyond_the_grid(cloud) -> None:
     z, y, x = scene_of([cloud], SETTINGS).voxel[:, 1:].numpy().T
     assert all(((0 <= at) & (at < size)).all() for at, size in ((z, 10), (y, 8), (x, 16)))
 
 
-def test_a_persons_heading_is_not_learned_a_two_wheelers_is():
+def test_a_persons_heading_is_not_learned_a_two_wheelers_is() -> None:
     settings = replace(tiny().model, users="vulnerable", sdd=False, pcp=False, rec=False)
     rows = [(3.0, 2.0, -1.0, 0.5, 0.6, 1.7, 2.0), (-6.1, 2.0, -1.0, 1.8, 0.65, 1.7, 1.0)]
     boxes = Boxes.from_array(np.array(rows), np.array([CLASSES.index("pedestrian"), CLASSES.index("bicycle")]))

@@ -27,7 +27,7 @@ def sample() -> Sample:
     return make_sample(toy_frame(0), None, GridSpec())
 
 
-def test_hull_clouds_equal_the_references_row_by_row(golden_sample: Sample):
+def test_hull_clouds_equal_the_references_row_by_row(golden_sample: Sample) -> None:
     golden, made = goldens.load("teacher_cloud"), teacher_clouds(golden_sample, "hull")
     assert np.array_equal(made.merged, golden["merged"])
     for i in range(2):
@@ -37,7 +37,7 @@ def test_hull_clouds_equal_the_references_row_by_row(golden_sample: Sample):
     assert np.array_equal(made.clouds[2], whole) and np.array_equal(made.object_clouds[2], whole)
 
 
-def test_the_golden_trees_teacher_clouds_have_the_references_sizes(tmp_path: Path):
+def test_the_golden_trees_teacher_clouds_have_the_references_sizes(tmp_path: Path) -> None:
     expected, k = goldens.load("opv2v_mini_expected"), 0
     for drive in list_drives(goldens.unpack_opv2v_mini(tmp_path)):
         reader = DriveReader(drive)
@@ -50,13 +50,13 @@ def test_the_golden_trees_teacher_clouds_have_the_references_sizes(tmp_path: Pat
             k += 1
 
 
-def test_an_agent_without_objects_has_an_empty_object_cloud(golden_sample: Sample):
+def test_an_agent_without_objects_has_an_empty_object_cloud(golden_sample: Sample) -> None:
     made = teacher_clouds(golden_sample, "rotated")
     assert made.object_clouds[2].shape == (0, 5)
     assert np.array_equal(made.clouds[2][:, :4], golden_sample.clouds[2]) and not made.clouds[2][:, 4].any()
 
 
-def test_rotated_clouds_hold_exactly_the_points_in_boxes(sample: Sample):
+def test_rotated_clouds_hold_exactly_the_points_in_boxes(sample: Sample) -> None:
     made = teacher_clouds(sample)
     for cloud, objects, boxes, own in zip(
         made.clouds, made.object_clouds, sample.agent_boxes, sample.clouds, strict=True
@@ -67,13 +67,13 @@ def test_rotated_clouds_hold_exactly_the_points_in_boxes(sample: Sample):
         assert np.array_equal(cloud[len(objects) :, :4], own[outside]) and not cloud[len(objects) :, 4].any()
 
 
-def test_a_hull_paints_at_least_what_the_box_paints(sample: Sample):
+def test_a_hull_paints_at_least_what_the_box_paints(sample: Sample) -> None:
     boxes, hulls = teacher_clouds(sample), teacher_clouds(sample, "hull")
     assert all(len(b) <= len(h) for b, h in zip(boxes.object_clouds, hulls.object_clouds, strict=True))
     assert sum(map(len, boxes.object_clouds)) < sum(map(len, hulls.object_clouds))
 
 
-def test_the_two_ideas_can_be_switched_off(sample: Sample):
+def test_the_two_ideas_can_be_switched_off(sample: Sample) -> None:
     full = teacher_clouds(sample)
     sparse = teacher_clouds(sample, dense=False)
     plain = teacher_clouds(sample, paint=False)
@@ -83,7 +83,7 @@ def test_the_two_ideas_can_be_switched_off(sample: Sample):
         assert np.array_equal(plain.clouds[i][:, :4], full.clouds[i][:, :4]) and not plain.clouds[i][:, 4].any()
 
 
-def test_teacher_clouds_of_nothing_are_empty():
+def test_teacher_clouds_of_nothing_are_empty() -> None:
     nothing = Sample("", (1,), (np.zeros((0, 4), np.float32),), np.eye(4)[None], Boxes.zeros(), (Boxes.zeros(),))
     for inside in ("rotated", "hull"):
         made = teacher_clouds(nothing, inside)

@@ -46,7 +46,7 @@ def some_pillars(detector):
     return pillars_of(clouds, detector.settings)
 
 
-def assert_same(found, expected, atol=2e-5, rtol=1e-5):
+def assert_same(found, expected, atol=2e-5, rtol=1e-5) -> None:
     for field in fields(expected):
         value, wanted = getattr(found, field.name), getattr(expected, field.name)
         for a, b in zip(value, wanted, strict=True) if isinstance(wanted, tuple) else ((value, wanted),):
@@ -54,7 +54,7 @@ def assert_same(found, expected, atol=2e-5, rtol=1e-5):
 
 
 @pytest.mark.parametrize("method", FUSIONS)
-def test_it_gives_the_same_maps_for_every_method(method):
+def test_it_gives_the_same_maps_for_every_method(method) -> None:
     detector = a_detector(fusion=method)
     before = {name: value.clone() for name, value in detector.state_dict().items()}
     fast, pillars = deployed(detector), some_pillars(detector)
@@ -69,7 +69,7 @@ def test_it_gives_the_same_maps_for_every_method(method):
 
 
 @pytest.mark.parametrize("backbone", ["res2net", "resnet", "plain"])
-def test_it_gives_the_same_maps_for_every_backbone(backbone, monkeypatch):
+def test_it_gives_the_same_maps_for_every_backbone(backbone: str, monkeypatch: pytest.MonkeyPatch) -> None:
     detector = a_detector(backbone=backbone, compress=4)
     fast, pillars = deployed(detector), some_pillars(detector)
     assert not any(isinstance(module, nn.BatchNorm2d) for module in fast.modules())
@@ -82,7 +82,7 @@ def test_it_gives_the_same_maps_for_every_backbone(backbone, monkeypatch):
 
 
 @pytest.mark.parametrize("method", sorted({"attention", "late"} | {name for name in FUSIONS if FUSIONS[name].start}))
-def test_half_the_digits_give_nearly_the_same_scores(method):
+def test_half_the_digits_give_nearly_the_same_scores(method) -> None:
     detector = a_detector(fusion=method)
     coarse, pillars = deployed(detector, torch.bfloat16), some_pillars(detector)
     layout = AgentLayout((1, 1, 1)) if method in ("none", "early", "late") else AgentLayout(AGENTS)
@@ -94,7 +94,7 @@ def test_half_the_digits_give_nearly_the_same_scores(method):
 
 
 @pytest.mark.slow
-def test_compiled_it_gives_the_same_maps():
+def test_compiled_it_gives_the_same_maps() -> None:
     detector = a_detector()
     pillars = some_pillars(detector)
     fast = ENGINES["compiled"](detector)
@@ -102,7 +102,7 @@ def test_compiled_it_gives_the_same_maps():
         assert_same(fast(pillars, AgentLayout(AGENTS)), detector(pillars, AgentLayout(AGENTS)))
 
 
-def test_without_a_compiler_it_says_so(monkeypatch):
+def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.models.storage.deploy.shutil.which", lambda name: None)
     with pytest.raises(SettingsError, match="C\\+\\+ compiler") as caught:
         ENGINES["compiled"](a_detector())
@@ -110,7 +110,7 @@ def test_without_a_compiler_it_says_so(monkeypatch):
 
 
 @pytest.mark.parametrize("changes", [{}, {"padded_slots": True}, {"role": "teacher", "pcp": True}])
-def test_pillars_in_one_pass_have_the_features_of_the_encoder(changes):
+def test_pillars_in_one_pass_have_the_features_of_the_encoder(changes) -> None:
     settings = replace(debug().model, **{"sdd": False, "pcp": False, "rec": False} | changes)
     torch.manual_seed(0)
     encoder = PillarEncoder(settings).eval().requires_grad_(False)
@@ -137,7 +137,7 @@ def test_pillars_in_one_pass_have_the_features_of_the_encoder(changes):
         assert not fused(nothing).any()
 
 
-def test_a_map_by_its_pillars_is_the_dense_map():
+def test_a_map_by_its_pillars_is_the_dense_map() -> None:
     coords = torch.tensor([[0, 0, 0], [0, 2, 5], [1, 3, 2], [1, 6, 4]])
     sparse = PillarMap(torch.arange(1.0, 9.0).view(4, 2), coords, clouds=2, height=8, width=6)
     dense = sparse.dense()

@@ -1,5 +1,7 @@
 """An exported detector says in another runtime what it says in PyTorch."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -21,7 +23,7 @@ def pillars_with(detector, agents, points):
     return pillars_of(clouds, detector.settings)
 
 
-def assert_same_as_torch(detector, path, agents, points):
+def assert_same_as_torch(detector, path, agents, points) -> None:
     runtime = pytest.importorskip("onnxruntime")
     pillars = pillars_with(detector, agents, points)
     tensors = (pillars.points, pillars.pillar, pillars.coords, pillars.count, torch.zeros(agents, dtype=torch.bool))
@@ -36,7 +38,7 @@ def assert_same_as_torch(detector, path, agents, points):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fusion", ["attention", "max", "none", "coalign"])
-def test_logits_are_the_same_for_any_number_of_agents_and_points(fusion, tmp_path):
+def test_logits_are_the_same_for_any_number_of_agents_and_points(fusion: str, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     detector = a_detector(fusion=fusion)
     assert export_onnx(detector, tmp_path / "detector.onnx") == "any number"
@@ -46,7 +48,7 @@ def test_logits_are_the_same_for_any_number_of_agents_and_points(fusion, tmp_pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fusion", ["v2vnet", "where2comm", "mrcnet"])
-def test_logits_are_the_same_for_the_number_of_agents_that_was_asked_for(fusion, tmp_path):
+def test_logits_are_the_same_for_the_number_of_agents_that_was_asked_for(fusion: str, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     detector = a_detector(fusion=fusion)
     assert export_onnx(detector, tmp_path / "detector.onnx", agents=3) == "3"
@@ -54,7 +56,7 @@ def test_logits_are_the_same_for_the_number_of_agents_that_was_asked_for(fusion,
 
 
 @pytest.mark.parametrize("agents", [-1, 0, 6])
-def test_more_agents_than_a_method_takes_are_refused_at_once(agents, tmp_path):
+def test_more_agents_than_a_method_takes_are_refused_at_once(agents: int, tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=f"export: agents: expected 1 to 5, found {agents}"):
         export_onnx(a_detector(fusion="where2comm", max_agents=5), tmp_path / "detector.onnx", agents)
     assert not list(tmp_path.iterdir())
@@ -62,7 +64,7 @@ def test_more_agents_than_a_method_takes_are_refused_at_once(agents, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("agents", [1, 9])
-def test_where_any_number_is_taken_the_one_that_is_said_has_no_meaning(agents, tmp_path):
+def test_where_any_number_is_taken_the_one_that_is_said_has_no_meaning(agents: int, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     detector = a_detector(fusion="max")
     assert export_onnx(detector, tmp_path / "detector.onnx", agents) == "any number"
@@ -70,20 +72,20 @@ def test_where_any_number_is_taken_the_one_that_is_said_has_no_meaning(agents, t
 
 
 @pytest.mark.slow
-def test_one_agent_may_be_the_number_that_a_method_takes(tmp_path):
+def test_one_agent_may_be_the_number_that_a_method_takes(tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     detector = a_detector(fusion="where2comm")
     assert export_onnx(detector, tmp_path / "detector.onnx", agents=1) == "1"
     assert_same_as_torch(detector, tmp_path / "detector.onnx", 1, 200)
 
 
-def test_a_method_without_a_form_in_onnx_is_refused_at_once(tmp_path):
+def test_a_method_without_a_form_in_onnx_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="fusion") as caught:
         export_onnx(a_detector(fusion="v2xvit"), tmp_path / "detector.onnx")
     assert "\n" not in str(caught.value) and not list(tmp_path.iterdir())
 
 
-def test_missing_packages_are_named(tmp_path, monkeypatch):
+def test_missing_packages_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.models.storage.export.importlib.util.find_spec", lambda name: None)
     with pytest.raises(SettingsError, match="pip install onnx"):
         export_onnx(a_detector(), tmp_path / "detector.onnx")

@@ -14,7 +14,7 @@ def found_objects(run, threshold, iou):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_changes_are_the_differences_of_the_found_objects(seed):
+def test_changes_are_the_differences_of_the_found_objects(seed: int) -> None:
     clean, fog = draw_run(seed, skill=0.9), draw_run(seed, kind="fog", skill=0.5)
     made = changes(clean, fog, 0.3, 0.5)
     before, after = found_objects(clean, 0.3, 0.5), found_objects(fog, 0.3, 0.5)
@@ -26,7 +26,7 @@ def test_changes_are_the_differences_of_the_found_objects(seed):
     assert len(back) == len(made) and back.fixed.sum() == (~made.fixed).sum()
 
 
-def test_titles_say_what_took_and_what_gave():
+def test_titles_say_what_took_and_what_gave() -> None:
     clean, fog = draw_run(0, skill=0.9), draw_run(0, kind="fog", skill=0.5)
     made = changes(clean, fog, 0.3, 0.5)
     assert {made.title(row) for row in range(len(made))} == {"fixed by fog 3", "broken by fog 3"}
@@ -36,7 +36,7 @@ def test_titles_say_what_took_and_what_gave():
     assert (both.before, both.after) == ("AttFuse in clean", "DSRC in fog 3")
 
 
-def test_frames_are_ranked_by_what_was_taken():
+def test_frames_are_ranked_by_what_was_taken() -> None:
     clean, fog = draw_run(1, skill=0.9), draw_run(1, kind="fog", skill=0.3)
     made = changes(clean, fog, 0.3, 0.5)
     rows, taken = made.worst_frames()
@@ -46,7 +46,7 @@ def test_frames_are_ranked_by_what_was_taken():
         assert count == np.count_nonzero(~here) - np.count_nonzero(here)
 
 
-def test_a_filter_chooses_the_objects():
+def test_a_filter_chooses_the_objects() -> None:
     clean, fog = draw_run(1, skill=0.9), draw_run(1, kind="fog", skill=0.3)
     near = changes(clean, fog, 0.3, 0.5, ErrorFilter(distance_m=Span(0, 30)))
     everything = changes(clean, fog, 0.3, 0.5)

@@ -73,7 +73,7 @@ def listed(errors: ErrorTable) -> set[tuple]:
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("threshold", "iou"), [(0.0, 0.5), (0.3, 0.5), (0.55, 0.3), (0.8, 0.7), (1.01, 0.5)])
-def test_errors_are_those_of_plain_loops(seed, threshold, iou):
+def test_errors_are_those_of_plain_loops(seed, threshold: float, iou: float) -> None:
     run = draw_run(seed)
     errors = ErrorIndex([run]).errors(threshold, iou, poor_iou=0.8)
     expected = oracle(run, threshold, iou, 0.8)
@@ -84,7 +84,7 @@ def test_errors_are_those_of_plain_loops(seed, threshold, iou):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_average_precision_is_exactly_that_of_an_evaluation(seed):
+def test_average_precision_is_exactly_that_of_an_evaluation(seed) -> None:
     run = draw_run(seed)
     metrics = evaluate(run.table.results())
     for iou in (0.3, 0.5, 0.7):
@@ -97,7 +97,7 @@ def test_average_precision_is_exactly_that_of_an_evaluation(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("threshold", [0.0, 0.4, 0.9])
-def test_counts_errors_and_the_curve_agree(seed, threshold):
+def test_counts_errors_and_the_curve_agree(seed, threshold: float) -> None:
     run = draw_run(seed)
     index, iou = ErrorIndex([run]), 0.5
     counts, errors, curve = (
@@ -113,7 +113,7 @@ def test_counts_errors_and_the_curve_agree(seed, threshold):
         assert curve.precision[kept - 1] == pytest.approx(counts.precision)
 
 
-def test_columns_say_what_the_table_holds():
+def test_columns_say_what_the_table_holds() -> None:
     run = draw_run(0)
     errors, table = ErrorIndex([run]).errors(0.3, 0.5), run.table
     for i in range(len(errors)):
@@ -132,7 +132,7 @@ def test_columns_say_what_the_table_holds():
             np.testing.assert_array_equal(errors.box[i], table.truth[row])
 
 
-def test_the_worst_come_first_and_a_clear_miss_is_worse_than_a_hidden_one():
+def test_the_worst_come_first_and_a_clear_miss_is_worse_than_a_hidden_one() -> None:
     errors = ErrorIndex([draw_run(1)]).errors(0.3, 0.5)
     assert (np.diff(errors.loss) <= 0).all() and 0.0 <= errors.loss.min() <= errors.loss.max() <= 2.0
     missed = errors[errors.kind == FN]
@@ -159,7 +159,7 @@ FILTERS = {
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_filter_keeps_exactly_the_errors_with_the_property(name, seed):
+def test_a_filter_keeps_exactly_the_errors_with_the_property(name, seed) -> None:
     index = ErrorIndex([draw_run(seed, "A"), draw_run(seed, "B", skill=0.6)])
     only, holds = FILTERS[name]
     everything, chosen = index.errors(0.2, 0.5), index.errors(0.2, 0.5, only)
@@ -173,7 +173,7 @@ def test_a_filter_keeps_exactly_the_errors_with_the_property(name, seed):
 
 
 @pytest.mark.parametrize("name", ["distance_m", "frames", "classes", "seen_by", "points", "points_left"])
-def test_objects_of_a_filter_and_of_its_opposite_are_all_objects(name):
+def test_objects_of_a_filter_and_of_its_opposite_are_all_objects(name: str) -> None:
     run = draw_run(2)
     only = FILTERS[name][0]
     chosen = only.objects(run)
@@ -188,7 +188,7 @@ def test_objects_of_a_filter_and_of_its_opposite_are_all_objects(name):
     assert (np.sum(masks, axis=0) == 1).all() and 0 < chosen.sum() < len(chosen)
 
 
-def test_average_precision_of_a_filter_is_that_of_its_objects_alone():
+def test_average_precision_of_a_filter_is_that_of_its_objects_alone() -> None:
     run = draw_run(3)
     only = ErrorFilter(distance_m=Span(0, 30))
     found = ErrorIndex([run]).curves(0.5, only)["DSRC"]
@@ -202,7 +202,7 @@ def test_average_precision_of_a_filter_is_that_of_its_objects_alone():
     np.testing.assert_allclose(found.recall, hits / among.sum())
 
 
-def test_frames_are_ranked_by_the_sum_of_their_losses():
+def test_frames_are_ranked_by_the_sum_of_their_losses() -> None:
     run = draw_run(0)
     errors = ErrorIndex([run]).errors(0.3, 0.5)
     ranking = worst_frames(errors, run.table.position)
@@ -215,7 +215,7 @@ def test_frames_are_ranked_by_the_sum_of_their_losses():
     assert (np.diff(ranking.loss) <= 0).all()
 
 
-def test_the_next_error_of_a_kind_is_found_in_both_directions_and_none_is_said():
+def test_the_next_error_of_a_kind_is_found_in_both_directions_and_none_is_said() -> None:
     errors = ErrorIndex([draw_run(0)]).errors(0.3, 0.5).in_order()
     visited, at = [], next_error(errors, row=0, kinds=(FN,))
     while at is not None:
@@ -231,7 +231,7 @@ def test_the_next_error_of_a_kind_is_found_in_both_directions_and_none_is_said()
     assert next_error(errors, 0, after=visited[0], step=-1, kinds=(FN,)) is None
 
 
-def test_an_empty_run_has_no_errors_and_no_average_precision():
+def test_an_empty_run_has_no_errors_and_no_average_precision() -> None:
     empty = JudgedRun("none", Setup(), join_tables([]))
     index = ErrorIndex([empty])
     assert len(index.errors(0.5, 0.5)) == len(ErrorIndex([]).errors(0.5, 0.5)) == 0
@@ -242,7 +242,7 @@ def test_an_empty_run_has_no_errors_and_no_average_precision():
         ErrorIndex([empty, empty])
 
 
-def test_a_wrong_filter_is_one_line():
+def test_a_wrong_filter_is_one_line() -> None:
     with pytest.raises(SettingsError, match="filter: classes: expected a known name, found carr; did you mean 'car'"):
         ErrorFilter(classes=("carr",))
     with pytest.raises(SettingsError, match="filter: kinds"):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def errors():
     return ErrorIndex([draw_run(0, "A"), draw_run(0, "B", skill=0.5)]).errors(0.3, 0.5)
 
 
-def test_a_note_is_there_when_the_book_is_opened_again(tmp_path):
+def test_a_note_is_there_when_the_book_is_opened_again(tmp_path: Path) -> None:
     book = NoteBook(tmp_path)
     book.put("a", "Hidden behind the bus.", ["occlusion", "bus", "occlusion"])
     book.put("b", tags=["label"])
@@ -36,7 +37,7 @@ def test_a_note_is_there_when_the_book_is_opened_again(tmp_path):
     assert len(NoteBook(tmp_path)) == 1 and not list(tmp_path.glob(".*"))
 
 
-def test_two_books_on_one_file_keep_each_others_notes(tmp_path):
+def test_two_books_on_one_file_keep_each_others_notes(tmp_path: Path) -> None:
     first, second = NoteBook(tmp_path), NoteBook(tmp_path)
     first.put("a", "from one")
     second.put("b", "from two")
@@ -49,7 +50,7 @@ def test_two_books_on_one_file_keep_each_others_notes(tmp_path):
     assert (tmp_path / "notes.json").read_text() == "{"
 
 
-def test_no_note_is_lost_while_processes_write_at_once(tmp_path):
+def test_no_note_is_lost_while_processes_write_at_once(tmp_path: Path) -> None:
     script = "import sys; from pathlib import Path; from dsrc.review.errors.notes import NoteBook\n"
     script += "book = NoteBook(Path(sys.argv[1]))\nfor i in range(20): book.put(f'{sys.argv[2]} {i}', 'text')"
     commands = [[sys.executable, "-c", script, str(tmp_path), name] for name in "abc"]
@@ -57,7 +58,7 @@ def test_no_note_is_lost_while_processes_write_at_once(tmp_path):
     assert len(NoteBook(tmp_path)) == 60
 
 
-def test_what_others_have_changed_since_a_note_was_seen_stays(tmp_path):
+def test_what_others_have_changed_since_a_note_was_seen_stays(tmp_path: Path) -> None:
     book = NoteBook(tmp_path)
     seen = book.put("a", "old", ["far", "bus"])
     book.put("a", "old", ["far", "seen"])
@@ -70,7 +71,7 @@ def test_what_others_have_changed_since_a_note_was_seen_stays(tmp_path):
     assert book.put("a", "", seen=book.get("a")) == Note() and len(book) == 0
 
 
-def test_damaged_books_and_long_notes_are_one_line(tmp_path):
+def test_damaged_books_and_long_notes_are_one_line(tmp_path: Path) -> None:
     path = tmp_path / "notes.json"
     for content, message in (
         ("{", "content: expected notes on errors"),
@@ -87,7 +88,7 @@ def test_damaged_books_and_long_notes_are_one_line(tmp_path):
     assert len(book) == 0 and not book.path.exists()
 
 
-def test_a_note_that_cannot_be_saved_leaves_the_book_as_it_was(tmp_path):
+def test_a_note_that_cannot_be_saved_leaves_the_book_as_it_was(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     book = NoteBook(tmp_path / "file/notes.json")
     with pytest.raises(OSError):
@@ -95,7 +96,7 @@ def test_a_note_that_cannot_be_saved_leaves_the_book_as_it_was(tmp_path):
     assert book.get("a") is None
 
 
-def test_keys_are_those_of_the_errors_whatever_the_threshold(errors):
+def test_keys_are_those_of_the_errors_whatever_the_threshold(errors) -> None:
     keys = [error_key("drive", errors, row) for row in range(len(errors))]
     assert len(set(keys)) == len(keys)
     stricter = ErrorIndex([draw_run(0, "A"), draw_run(0, "B", skill=0.5)]).errors(0.6, 0.5)
@@ -103,7 +104,7 @@ def test_keys_are_those_of_the_errors_whatever_the_threshold(errors):
     assert set(false) <= set(keys) and false
 
 
-def test_each_ego_has_notes_of_its_own_alone_and_with_its_helpers(errors):
+def test_each_ego_has_notes_of_its_own_alone_and_with_its_helpers(errors) -> None:
     def other(ego_id, cooperative):
         table = replace(draw_table(0), ego_id=np.full(6, 7 if ego_id is None else ego_id))
         run = JudgedRun("A", Setup(ego_id=ego_id, cooperative=cooperative), table)
@@ -117,7 +118,7 @@ def test_each_ego_has_notes_of_its_own_alone_and_with_its_helpers(errors):
     assert {error_key("drive", named, row) for row in range(len(named))} == keys[0]
 
 
-def test_notes_of_files_that_do_not_say_who_detects_are_those_of_the_first_vehicle(errors, tmp_path):
+def test_notes_of_files_that_do_not_say_who_detects_are_those_of_the_first_vehicle(errors, tmp_path: Path) -> None:
     key, former = error_key("drive", errors, 0), former_key("drive", errors, 0)
     assert " / ego 7 / " in key and former == key.replace(" / ego 7 / ", " / ")
     book = NoteBook(tmp_path)
@@ -131,7 +132,7 @@ def test_notes_of_files_that_do_not_say_who_detects_are_those_of_the_first_vehic
         assert former_key("drive", other, 0) == ""
 
 
-def test_errors_leave_as_csv_with_their_notes(errors, tmp_path):
+def test_errors_leave_as_csv_with_their_notes(errors, tmp_path: Path) -> None:
     book = NoteBook(tmp_path)
     book.put(error_key("drive", errors, 3), 'a "quoted",\nnote', ["x", "y"])
     lines = list(csv.DictReader(io.StringIO(errors_csv("drive", errors, book))))

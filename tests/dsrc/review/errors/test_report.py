@@ -37,7 +37,7 @@ def filled(model) -> ReviewModel:
 STATE = ReviewState(threshold=0.3)
 
 
-def test_a_report_holds_every_error_of_every_frame(filled):
+def test_a_report_holds_every_error_of_every_frame(filled: ReviewModel) -> None:
     report = run.report(filled, STATE)
     views = [filled.view(replace(STATE, frame=row)) for row in range(filled.frame_count(0))]
     counts = report.counts["detector"]
@@ -50,7 +50,7 @@ def test_a_report_holds_every_error_of_every_frame(filled):
     assert (np.diff(report.errors.loss) <= 0).all()
 
 
-def test_the_ap_follows_the_filters(filled):
+def test_the_ap_follows_the_filters(filled: ReviewModel) -> None:
     near = run.report(filled, replace(STATE, error_range="0-30"))
     everything = run.report(filled, STATE)
     assert near.counts["detector"].fn < everything.counts["detector"].fn
@@ -58,7 +58,7 @@ def test_the_ap_follows_the_filters(filled):
     assert (near.errors.distance_m <= 30.0).all() and len(near.errors) < len(everything.errors)
 
 
-def test_an_error_is_where_the_view_has_its_box(filled):
+def test_an_error_is_where_the_view_has_its_box(filled: ReviewModel) -> None:
     report = run.report(filled, STATE)
     for kind in (FN, FP):
         row = int(np.flatnonzero(report.errors.kind == kind)[0])
@@ -69,7 +69,7 @@ def test_an_error_is_where_the_view_has_its_box(filled):
     assert run.shown_error(report.errors, STATE) == -1
 
 
-def test_what_a_method_breaks_the_other_fixes(filled):
+def test_what_a_method_breaks_the_other_fixes(filled: ReviewModel) -> None:
     good, blind = (replace(STATE, methods=(name,)) for name in ("detector", "blind"))
     broken = run.listed_errors(filled, replace(blind, versus=f"{run.METHOD}detector", listed="broken"))
     fixed = run.listed_errors(filled, replace(good, versus=f"{run.METHOD}blind", listed="fixed"))
@@ -79,7 +79,7 @@ def test_what_a_method_breaks_the_other_fixes(filled):
     assert len(run.listed_errors(filled, replace(good, versus=f"{run.METHOD}blind", listed="broken"))) == 0
 
 
-def test_corrupted_sweeps_are_compared_with_clean_ones_unless_told_otherwise(filled):
+def test_corrupted_sweeps_are_compared_with_clean_ones_unless_told_otherwise(filled: ReviewModel) -> None:
     assert run.other_run(STATE) is None
     assert run.other_run(replace(STATE, corruption="fog")) == STATE
     assert run.other_run(replace(STATE, versus="alone")) == replace(STATE, cooperative=False)
@@ -87,7 +87,7 @@ def test_corrupted_sweeps_are_compared_with_clean_ones_unless_told_otherwise(fil
         run.listed_errors(filled, replace(STATE, listed="broken"))
 
 
-def test_frames_that_are_not_known_yet_are_named(model):
+def test_frames_that_are_not_known_yet_are_named(model) -> None:
     assert run.to_detect(model, STATE) == [("detector", model.setup(STATE))]
     model.view(STATE), model.view(replace(STATE, frame=1))
     assert run.first_unknown(model, STATE, 1) == 2
@@ -96,7 +96,7 @@ def test_frames_that_are_not_known_yet_are_named(model):
     assert (report.known, report.total) == (2, 12)
 
 
-def test_reports_are_kept_until_more_frames_are_known(model):
+def test_reports_are_kept_until_more_frames_are_known(model) -> None:
     model.view(STATE)
     reports = run.Reports(model)
     first = reports.of(STATE)
@@ -107,7 +107,7 @@ def test_reports_are_kept_until_more_frames_are_known(model):
     assert reports.of(replace(STATE, threshold=0.5)) is not first
 
 
-def test_a_report_is_of_the_agents_whose_sweeps_are_corrupted(model):
+def test_a_report_is_of_the_agents_whose_sweeps_are_corrupted(model) -> None:
     reports, foggy = run.Reports(model), replace(STATE, corruption="beam_missing", severity=5)
     for who in ("all", "helpers"):
         model.view(replace(foggy, who=who))
@@ -116,7 +116,7 @@ def test_a_report_is_of_the_agents_whose_sweeps_are_corrupted(model):
     assert helpers.errors.conditions == ("beam missing 5, helpers",)
 
 
-def test_a_curve_on_a_grid_ends_where_the_detector_does(filled):
+def test_a_curve_on_a_grid_ends_where_the_detector_does(filled: ReviewModel) -> None:
     curve = run.report(filled, replace(STATE, threshold=0.0)).curves["detector", 0.5]
     grid = np.linspace(0.0, 1.0, 101)
     precision = run.curve_on_grid(curve, grid)

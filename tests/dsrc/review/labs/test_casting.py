@@ -1,5 +1,7 @@
 """Sensors that a recording lacks are cast in the world, traffic and instant of its frames."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -13,7 +15,7 @@ from tests.dsrc.review.labs.drive import small_drive
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
+def drive(tmp_path_factory: pytest.TempPathFactory):
     return open_drive(small_drive(tmp_path_factory.mktemp("data")))
 
 
@@ -24,7 +26,7 @@ def placed_as(agent):
 
 
 @pytest.mark.parametrize("row", [0, 1, 2])
-def test_the_drives_own_sensor_is_cast_as_it_was_recorded(drive, row):
+def test_the_drives_own_sensor_is_cast_as_it_was_recorded(drive, row: int) -> None:
     frame = drive.read(1)
     agent = frame.agents[row]
     carrier = agent.world_from_body if agent.kind == "roadside" else agent.agent_id
@@ -35,7 +37,7 @@ def test_the_drives_own_sensor_is_cast_as_it_was_recorded(drive, row):
     assert np.quantile(away, 0.9) < 0.15, "range noise of the sensor, and what its beams just miss"
 
 
-def test_a_sensor_that_is_raised_sees_farther_and_one_that_looks_up_sees_less(drive):
+def test_a_sensor_that_is_raised_sees_farther_and_one_that_looks_up_sees_less(drive) -> None:
     frame, world, spec = drive.read(0), open_world(drive.drive), get_lidar("vlp-16")
     ego = frame.agents[0].agent_id
 
@@ -47,7 +49,7 @@ def test_a_sensor_that_is_raised_sees_farther_and_one_that_looks_up_sees_less(dr
     assert np.median(on_road[1]) > np.median(on_road[0]) and len(up) < len(low)
 
 
-def test_a_drive_of_real_sensors_has_no_world(tmp_path, drive):
+def test_a_drive_of_real_sensors_has_no_world(tmp_path: Path, drive) -> None:
     with pytest.raises(DataError, match=r"world\.npz: expected the world and traffic of the drive, found none"):
         DriveWorld(tmp_path)
     world, spec = open_world(drive.drive), get_lidar("vlp-16")

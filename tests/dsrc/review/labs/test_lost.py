@@ -18,7 +18,7 @@ def sweep(rng, columns=True):
 
 
 @pytest.mark.parametrize("columns", [True, False])
-def test_exactly_the_missing_points_are_lost(columns):
+def test_exactly_the_missing_points_are_lost(columns: bool) -> None:
     rng = np.random.default_rng(0)
     before = sweep(rng, columns)
     stays = rng.random(600) < 0.7
@@ -27,7 +27,7 @@ def test_exactly_the_missing_points_are_lost(columns):
 
 
 @pytest.mark.parametrize("columns", [True, False])
-def test_a_moved_point_is_not_lost(columns):
+def test_a_moved_point_is_not_lost(columns: bool) -> None:
     rng = np.random.default_rng(1)
     before = sweep(rng, columns)
     stays = rng.random(600) < 0.7
@@ -36,7 +36,7 @@ def test_a_moved_point_is_not_lost(columns):
     np.testing.assert_array_equal(lost_rows(before, moved[stays]), np.flatnonzero(~stays))
 
 
-def test_a_false_return_does_not_stand_for_the_one_that_it_replaces():
+def test_a_false_return_does_not_stand_for_the_one_that_it_replaces() -> None:
     before = sweep(np.random.default_rng(2))
     false = replace(
         before[:50], points=before.points[:50] * np.float32(0.5), object_id=np.full(50, ADDED, np.int32),
@@ -45,7 +45,7 @@ def test_a_false_return_does_not_stand_for_the_one_that_it_replaces():
     np.testing.assert_array_equal(lost_rows(before, stacked(before[50:], false)), np.arange(50))
 
 
-def test_zeros_of_either_sign_are_one_place():
+def test_zeros_of_either_sign_are_one_place() -> None:
     before = make_sweep(np.array([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]))
     after = make_sweep(np.array([[-0.0, 1.0, 2.0]]))
     assert lost_rows(before, after).tolist() == [1]

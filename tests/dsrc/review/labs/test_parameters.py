@@ -15,7 +15,7 @@ def named(kind, severity=3, family="physical"):
     return {parameter.name: parameter for parameter in parameters_of(kind, severity, family)}
 
 
-def test_every_built_in_model_has_parameters():
+def test_every_built_in_model_has_parameters() -> None:
     assert {kind for kind, family in MODELS if family == "physical"} == set(CORRUPTIONS)
     assert {kind for kind, family in MODELS if family == "paper"} == {
         kind for kind in CORRUPTIONS if CORRUPTIONS[kind].paper_apply is not None
@@ -23,7 +23,7 @@ def test_every_built_in_model_has_parameters():
 
 
 @pytest.mark.parametrize(("kind", "family"), MODELS)
-def test_both_ends_of_every_parameter_are_valid_settings(kind, family):
+def test_both_ends_of_every_parameter_are_valid_settings(kind, family) -> None:
     for severity in range(1, 6):
         own = CORRUPTIONS[kind].settings_of(family).severity(severity)
         for parameter in parameters_of(kind, severity, family):
@@ -40,17 +40,17 @@ def test_both_ends_of_every_parameter_are_valid_settings(kind, family):
                 assert settings == msgspec.structs.replace(own, **{parameter.name: value})
 
 
-def test_what_tells_the_severities_apart_comes_first():
+def test_what_tells_the_severities_apart_comes_first() -> None:
     assert next(iter(named("crosstalk"))) == "share"
     assert list(named("point_dropping"))[:2] == ["share", "patches"]
 
 
-def test_what_is_left_to_the_sensor_is_no_parameter():
+def test_what_is_left_to_the_sensor_is_no_parameter() -> None:
     assert "range_10_m" not in named("fog") and "target" not in named("cross_sensor")
     assert parameters_of("clean", 3) == () and parameters_of("spray", 3, "paper") == ()
 
 
-def test_a_change_back_to_the_severitys_value_is_none():
+def test_a_change_back_to_the_severitys_value_is_none() -> None:
     known = parameters_of("fog", 3)
     own = named("fog")["patchiness"].value
     changes = changed((), "patchiness", 0.1, known)
@@ -67,7 +67,9 @@ def test_a_change_back_to_the_severitys_value_is_none():
         ("noise", "how:impulse", ("how", "impulse")),
     ],
 )
-def test_changes_are_read_back(kind, text, change):
+def test_changes_are_read_back(
+    kind: str, text: str, change: tuple[str, float] | tuple[str, int] | tuple[str, str]
+) -> None:
     assert parse_change(text, parameters_of(kind, 3), "link") == change
 
 
@@ -81,7 +83,7 @@ def test_changes_are_read_back(kind, text, change):
         ("clean", "share:1", "parameters: expected none, found share"),
     ],
 )
-def test_what_is_no_change_is_named(kind, text, message):
+def test_what_is_no_change_is_named(kind: str, text: str, message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         parse_change(text, parameters_of(kind, 3), "link")
 
@@ -94,19 +96,21 @@ def test_what_is_no_change_is_named(kind, text, message):
         ((("visibility_m", 50.0),), "expected a setting of Fog, found visibility_m"),
     ],
 )
-def test_settings_that_do_not_exist_are_refused(changes, message):
+def test_settings_that_do_not_exist_are_refused(
+    changes: tuple[tuple[str, float]] | tuple[tuple[str, str]], message: str
+) -> None:
     with pytest.raises(SettingsError, match=message):
         Condition("fog", 3, settings=changes).resolved()
 
 
-def test_a_condition_with_changes_is_none_of_the_known_ones():
+def test_a_condition_with_changes_is_none_of_the_known_ones() -> None:
     plain, tuned = Condition("fog", 3), Condition.of("fog", 3, settings=(("extinction", 0.1),))
     assert plain != tuned and len({plain, tuned}) == 2
     assert Condition.of("clean", 3, settings=(("extinction", 0.1),)) == Condition()
     assert tuned.label == "fog 3 with extinction 0.1"
 
 
-def test_parameters_change_the_sweeps(frame):
+def test_parameters_change_the_sweeps(frame) -> None:
     plain = corrupted_frame(frame, Condition.of("point_dropping", 3), 0, "street")
     none = corrupted_frame(frame, Condition.of("point_dropping", 3, settings=(("share", 0.0),)), 0, "street")
     most = corrupted_frame(frame, Condition.of("point_dropping", 3, settings=(("share", 0.6),)), 0, "street")

@@ -69,12 +69,12 @@ def connect_browser():
 
 
 @pytest.fixture
-def browser(app) -> SocketBrowser:
+def browser(app: Iterator[ReviewApp]) -> SocketBrowser:
     browser = SocketBrowser(app)
     browser.session.wait_drawn()
     return browser
 
 
 @pytest.fixture
-def session(browser) -> Session:
+def session(browser: SocketBrowser) -> Session:
     return browser.session

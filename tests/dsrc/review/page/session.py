@@ -3,7 +3,7 @@
 import time
 
 
-def wait_for(condition, timeout_s=10.0):
+def wait_for(condition, timeout_s=10.0) -> None:
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end, "nothing happened"

@@ -23,7 +23,7 @@ RUN = {command.label: command.run for command in COMMANDS}
 class Opened:
     """A page in a browser, with the session that it belongs to."""
 
-    def __init__(self, app, page):
+    def __init__(self, app, page) -> None:
         self.app, self.page = app, page
         page.send("Emulation.setFocusEmulationEnabled", enabled=True)
         page.wait_for("document.querySelector('canvas') && window.__viserMutable", 60.0)
@@ -34,11 +34,11 @@ class Opened:
         """Session of the newest browser."""
         return self.app.wait_session(1, 60.0)[-1]
 
-    def key(self, key, **more):
+    def key(self, key, **more) -> None:
         self.page.send("Input.dispatchKeyEvent", type="keyDown", key=key, **more)
         self.page.send("Input.dispatchKeyEvent", type="keyUp", key=key, **more)
 
-    def click(self, x, y):
+    def click(self, x, y) -> None:
         for kind in ("mousePressed", "mouseReleased"):
             self.page.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
@@ -62,7 +62,7 @@ class Opened:
         return self.session.client.get_render(**render)[..., :3].astype(int)
 
 
-def wait_for(condition, timeout_s=20.0, otherwise=lambda: "nothing happened"):
+def wait_for(condition, timeout_s=20.0, otherwise=lambda: "nothing happened") -> None:
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end, otherwise()
@@ -80,7 +80,7 @@ def opened(street):
 
 
 @pytest.fixture(autouse=True)
-def afresh(opened):
+def afresh(opened) -> None:
     opened.session.update(**{field: getattr(ReviewState(), field) for field in ReviewState.__slots__})
     RUN["Camera: reset"](opened.session)
     opened.session.wait_drawn()
@@ -91,7 +91,7 @@ def shown(image, rgb, tolerance=3):
     return int(np.count_nonzero(np.abs(image - np.array(rgb)).max(axis=-1) <= tolerance))
 
 
-def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_away(opened):
+def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_away(opened) -> None:
     session = opened.session
     quiet = frozenset({"bodies", "labels", "links", "world"})
     session.update(threshold=0.0, layers_off=quiet, hidden=frozenset({1000, 1002, -1}))
@@ -105,7 +105,7 @@ def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
-def test_an_agents_body_and_its_points_have_one_colour(opened, theme):
+def test_an_agents_body_and_its_points_have_one_colour(opened, theme: str) -> None:
     session = opened.session
     session.update(
         theme=theme,
@@ -119,7 +119,7 @@ def test_an_agents_body_and_its_points_have_one_colour(opened, theme):
         assert shown(bodies, palette.AGENT_COLORS[row], 8) > 10, f"roof of agent {row}"
 
 
-def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened):
+def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened) -> None:
     session = opened.session
     session.update(frame=5, iou=0.7)
     session.place_camera("chase")
@@ -134,7 +134,7 @@ def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened):
     wait_for(lambda: np.allclose(again.client.camera.position, [-34.0, 0.0, 21.0], atol=0.02))
 
 
-def test_a_lost_connection_comes_back_to_the_same_frame(opened):
+def test_a_lost_connection_comes_back_to_the_same_frame(opened) -> None:
     session = opened.session
     session.update(frame=4)
     session.wait_drawn()
@@ -144,7 +144,7 @@ def test_a_lost_connection_comes_back_to_the_same_frame(opened):
     assert opened.session.wait_drawn().index == 4
 
 
-def test_keys_work_after_a_choice_in_a_dropdown(opened):
+def test_keys_work_after_a_choice_in_a_dropdown(opened) -> None:
     before = opened.session.state.frame
     option = "[...document.querySelectorAll('[role=option]')].find(e=>e.textContent==='fog')"
     shown = f"Boolean({option} && {option}.getBoundingClientRect().height)"
@@ -164,7 +164,7 @@ def test_keys_work_after_a_choice_in_a_dropdown(opened):
     wait_for(lambda: opened.session.state.frame == before + 1)
 
 
-def test_help_opens_on_a_question_mark(opened):
+def test_help_opens_on_a_question_mark(opened) -> None:
     opened.key("?", code="Slash", text="?", modifiers=8)
     opened.page.wait_for("document.body.innerText.includes('Ten frames forward')", 20.0)
     opened.session.toggle_help()
@@ -172,7 +172,7 @@ def test_help_opens_on_a_question_mark(opened):
 
 
 @pytest.mark.parametrize(("layer", "field"), [("detections/fp", "detection"), ("truth/fn", "object_id")])
-def test_a_click_on_a_box_opens_its_card(opened, layer, field):
+def test_a_click_on_a_box_opens_its_card(opened, layer: str, field: str) -> None:
     session = opened.session
     session.update(frame=1, threshold=0.0, layers_off=frozenset({"labels", "links"}))
     session.fly_to(session.wait_drawn().layers[layer].center[0])
@@ -185,7 +185,9 @@ def test_a_click_on_a_box_opens_its_card(opened, layer, field):
     opened.page.wait_for(f"document.body.innerText.includes('{words}')", 20.0)
 
 
-def test_what_cannot_be_drawn_is_told_on_the_page_and_the_next_frame_is_drawn(opened, monkeypatch):
+def test_what_cannot_be_drawn_is_told_on_the_page_and_the_next_frame_is_drawn(
+    opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
     view = opened.app.model.view
 
     def broken(state):
@@ -201,7 +203,7 @@ def test_what_cannot_be_drawn_is_told_on_the_page_and_the_next_frame_is_drawn(op
     opened.page.wait_for("!document.body.innerText.includes('yaw of the bus')", 20.0)
 
 
-def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened):
+def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened) -> None:
     session = opened.session
     session.place_camera("chase")
     session.wait_drawn()
@@ -217,7 +219,7 @@ def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened):
     assert away == pytest.approx(np.hypot(34.0, 21.0), abs=1.0)
 
 
-def test_a_page_says_that_it_is_drawing_until_it_shows_a_frame(opened):
+def test_a_page_says_that_it_is_drawing_until_it_shows_a_frame(opened) -> None:
     text = "document.getElementById('review-drawing')"
     assert opened.page.evaluate(text) is None
     with opened.app._using_model, open_page(f"{opened.app.url}/?fixedDpr=1", (400, 300)) as page:
@@ -232,7 +234,7 @@ def test_a_page_says_that_it_is_drawing_until_it_shows_a_frame(opened):
     wait_for(lambda: len(opened.app.sessions) == 1)
 
 
-def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(opened):
+def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(opened) -> None:
     first = opened.session
     place = np.array(first.client.camera.position)
     with open_page(f"{opened.app.url}/?fixedDpr=1", (700, 500)) as page:

@@ -23,7 +23,7 @@ QUIET = frozenset({"truth", "bodies", "labels", "links", "world"})
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory):
+def opened(tmp_path_factory: pytest.TempPathFactory):
     """Page of a simulated drive in a browser, and the session that it belongs to."""
     app = ReviewApp(ReviewModel([open_drive(small_drive(tmp_path_factory.mktemp("data")))]), start_server())
     try:
@@ -50,7 +50,7 @@ def shown(picture, rgb):
     return int(np.count_nonzero(np.abs(picture - np.array(rgb)).max(axis=-1) <= 3))
 
 
-def test_lost_points_are_seen_in_their_colour_and_parameters_have_sliders(opened):
+def test_lost_points_are_seen_in_their_colour_and_parameters_have_sliders(opened) -> None:
     page, session = opened
     session.update(corruption="point_dropping", parameters=(("share", 0.6),), color_by="fate", point_size_m=0.3)
     session.wait_drawn()
@@ -62,7 +62,7 @@ def test_lost_points_are_seen_in_their_colour_and_parameters_have_sliders(opened
     assert shown(image(session), palette.LOST) == 0
 
 
-def test_the_points_of_a_cast_sensor_are_seen_in_their_colour(opened):
+def test_the_points_of_a_cast_sensor_are_seen_in_their_colour(opened) -> None:
     _, session = opened
     hidden = frozenset(agent.agent_id for agent in session.view.agents)
     session.update(sensor="vlp-16", carrier="pole", hidden=hidden, point_size_m=0.3)

@@ -20,11 +20,11 @@ pytestmark = [
 ]
 
 
-def press_n(opened, shift=False):
+def press_n(opened, shift=False) -> None:
     opened.key("N" if shift else "n", code="KeyN", text="n", windowsVirtualKeyCode=78, modifiers=8 if shift else 0)
 
 
-def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model):
+def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model) -> None:
     app = ReviewApp(model, start_server())
     try:
         with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
@@ -59,7 +59,7 @@ def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model):
         app.close()
 
 
-def test_two_cells_have_one_camera_after_a_drag(model, fake_fog):
+def test_two_cells_have_one_camera_after_a_drag(model, fake_fog) -> None:
     app = ReviewApp(model, start_server())
     try:
         with open_page(app.url + compare_address("frame=2", "frame=2&corruption=fog"), (1200, 600)) as page:
@@ -90,7 +90,7 @@ def test_two_cells_have_one_camera_after_a_drag(model, fake_fog):
         app.close()
 
 
-def test_a_page_of_a_running_simulation_grows():
+def test_a_page_of_a_running_simulation_grows() -> None:
     with live_page(LiveSource("street")) as live, open_page(f"{live.url}/?fixedDpr=1", SIZE) as page:
         (session,) = live.app.wait_session(1, 60.0)
         page.wait_for("document.body.innerText.includes('first frame to come')", 60.0)

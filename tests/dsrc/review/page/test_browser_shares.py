@@ -19,7 +19,7 @@ pytestmark = [
 ]
 
 
-def test_boxes_have_the_colour_of_who_helped_until_the_verdict_is_asked_for():
+def test_boxes_have_the_colour_of_who_helped_until_the_verdict_is_asked_for() -> None:
     app = ReviewApp(ReviewModel([SharedSource(FakeDrive(), shared_street())], FakeDetector()), start_server())
     try:
         with open_page(f"{app.url}/?fixedDpr=1&object=1004&off=bodies,labels,links,world", SIZE) as page:

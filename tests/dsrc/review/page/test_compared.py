@@ -21,7 +21,7 @@ def model(drive, detector) -> ReviewModel:
     return model
 
 
-def test_two_methods_are_drawn_over_each_other_and_told_apart(session):
+def test_two_methods_are_drawn_over_each_other_and_told_apart(session) -> None:
     session.update(methods=("detector", "blind"))
     view = session.wait_drawn()
     (blind,) = view.compared
@@ -33,7 +33,7 @@ def test_two_methods_are_drawn_over_each_other_and_told_apart(session):
     wait_for(lambda: counts in panel(session, ReportPanel).notice.content)
 
 
-def test_one_method_alone_leaves_nothing_of_the_other(session):
+def test_one_method_alone_leaves_nothing_of_the_other(session) -> None:
     session.update(methods=("detector", "blind"))
     session.wait_drawn()
     session.update(methods=("blind",))
@@ -41,7 +41,7 @@ def test_one_method_alone_leaves_nothing_of_the_other(session):
     assert not any(node(session, f"/compared/0/{kind}").visible for kind in ("false", "missed"))
 
 
-def test_the_list_is_of_the_methods_that_are_left(session, fake_fog):
+def test_the_list_is_of_the_methods_that_are_left(session, fake_fog) -> None:
     errors, lab = panel(session, ErrorsPanel), panel(session, CorruptionLabPanel)
     lay_over(session)
     session.update(error_method="blind")

@@ -21,7 +21,7 @@ def lines(session, name):
     return 0 if handle is None or not handle.visible else len(handle.points)
 
 
-def test_every_step_is_drawn_as_the_log_has_it(session):
+def test_every_step_is_drawn_as_the_log_has_it(session) -> None:
     ticks = full_log().ticks
     for row, tick in enumerate(ticks):
         session.update(frame=row)
@@ -37,7 +37,7 @@ def test_every_step_is_drawn_as_the_log_has_it(session):
         assert (lines(session, "/plan/contact") > 0) == (tick.contact is not None)
 
 
-def test_a_world_that_cannot_be_rebuilt_is_told_on_the_first_frame(app, connect_browser):
+def test_a_world_that_cannot_be_rebuilt_is_told_on_the_first_frame(app, connect_browser) -> None:
     session = connect_browser(app).session
     session.wait_drawn()
     told = session._notice
@@ -48,14 +48,14 @@ def test_a_world_that_cannot_be_rebuilt_is_told_on_the_first_frame(app, connect_
     assert not told.visible
 
 
-def test_layers_of_an_episode_can_be_switched_off(session):
+def test_layers_of_an_episode_can_be_switched_off(session) -> None:
     for name in ("plan", "tracks", "claims"):
         session.update(layers_off=frozenset({name}))
         session.wait_drawn()
         assert not node(session, f"/{name}").visible
 
 
-def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session):
+def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session) -> None:
     episode = panel(session, EpisodePanel)
     log = full_log()
     for row in (0, len(log) - 1):
@@ -69,7 +69,7 @@ def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session):
     assert episode.folder.visible
 
 
-def test_a_drive_has_no_episode(model, detector, drive, connect_browser):
+def test_a_drive_has_no_episode(model: ReviewModel, detector, drive, connect_browser) -> None:
     from dsrc.review.page.app import ReviewApp
     from dsrc.review.page.server import start_server
 
@@ -83,7 +83,7 @@ def test_a_drive_has_no_episode(model, detector, drive, connect_browser):
         app.close()
 
 
-def test_missing_detections_are_explained(session):
+def test_missing_detections_are_explained(session) -> None:
     session.update(corruption="fog")
     view = session.wait_drawn()
     report = panel(session, ReportPanel)
@@ -91,7 +91,7 @@ def test_missing_detections_are_explained(session):
     wait_for(lambda: report.notice.visible and report.notice.content == view.notice)
 
 
-def test_the_axis_of_time_is_that_of_the_episode(session):
+def test_the_axis_of_time_is_that_of_the_episode(session) -> None:
     episode = panel(session, EpisodePanel)
     log = full_log()
     session.wait_drawn()

@@ -22,7 +22,7 @@ RUN = {command.label: command.run for command in COMMANDS}
 
 
 @pytest.fixture
-def model(drive, detector, tmp_path) -> ReviewModel:
+def model(drive, detector, tmp_path: Path) -> ReviewModel:
     return ReviewModel([drive], detector, NoteBook(tmp_path / "notes.json"))
 
 
@@ -31,7 +31,7 @@ def missed(session):
     return None if details is None else getattr(details, "verdict", None)
 
 
-def test_n_goes_to_the_next_missed_object_box_card_and_camera(session, browser):
+def test_n_goes_to_the_next_missed_object_box_card_and_camera(session, browser) -> None:
     RUN["Next missed object"](session)
     state = session.state
     assert state.frame == 0 and state.object_id is not None
@@ -44,7 +44,7 @@ def test_n_goes_to_the_next_missed_object_box_card_and_camera(session, browser):
     assert (session.state.frame, session.state.object_id) == (0, state.object_id)
 
 
-def test_p_goes_to_false_detections_alone(session):
+def test_p_goes_to_false_detections_alone(session) -> None:
     RUN["Next false detection"](session)
     assert session.state.detection is not None and missed(session) == "false positive"
     first = session.state.frame
@@ -52,7 +52,7 @@ def test_p_goes_to_false_detections_alone(session):
     assert session.state.frame == first + 1 and missed(session) == "false positive"
 
 
-def test_the_last_one_says_that_there_is_none_after_it(session):
+def test_the_last_one_says_that_there_is_none_after_it(session) -> None:
     session.update(frame=11)
     RUN["Next missed object"](session)
     here = session.state
@@ -61,7 +61,7 @@ def test_the_last_one_says_that_there_is_none_after_it(session):
     assert "in the whole run" in session._notice.content
 
 
-def test_without_any_it_says_so_after_all_frames(session):
+def test_without_any_it_says_so_after_all_frames(session) -> None:
     session.update(threshold=1.0)
     go_to_error(session, 1, "false")
     assert "No false detection after this one" in session._notice.content
@@ -69,7 +69,7 @@ def test_without_any_it_says_so_after_all_frames(session):
 
 
 @pytest.fixture
-def presses(session, detector, monkeypatch):
+def presses(session, detector, monkeypatch: pytest.MonkeyPatch):
     """Press keys that search, each in a thread of its own, while no detection ends."""
     detect, gate, threads = detector.detect, threading.Event(), []
     session.update(threshold=1.0)
@@ -87,7 +87,7 @@ def presses(session, detector, monkeypatch):
         thread.join(20.0)
 
 
-def test_a_held_key_searches_once_and_another_key_in_its_place(session, presses):
+def test_a_held_key_searches_once_and_another_key_in_its_place(session, presses) -> None:
     for _ in range(5):
         threads = presses("false")
     wait_for(lambda: sum(thread.is_alive() for thread in threads) == 1, 3.0)
@@ -99,14 +99,14 @@ def test_a_held_key_searches_once_and_another_key_in_its_place(session, presses)
     wait_for(lambda: not any(thread.is_alive() for thread in threads), 3.0)
 
 
-def test_a_search_ends_with_its_page(session, browser, presses):
+def test_a_search_ends_with_its_page(session, browser, presses) -> None:
     threads = presses("false")
     wait_for(lambda: "Looking for a false detection" in session._notice.content)
     browser.close()
     wait_for(lambda: not threads[0].is_alive(), 3.0)
 
 
-def test_without_labels_or_detector_it_says_why(truth_model, connect_browser):
+def test_without_labels_or_detector_it_says_why(truth_model, connect_browser) -> None:
     app = ReviewApp(truth_model, start_server())
     try:
         session = connect_browser(app).session
@@ -118,7 +118,7 @@ def test_without_labels_or_detector_it_says_why(truth_model, connect_browser):
         app.close()
 
 
-def test_detecting_in_all_frames_fills_the_list(session):
+def test_detecting_in_all_frames_fills_the_list(session) -> None:
     errors = panel(session, ErrorsPanel)
     assert errors.detect.visible and "1 of 12 frames" in errors.progress.content
     session.detect_all()
@@ -130,7 +130,9 @@ def test_detecting_in_all_frames_fills_the_list(session):
     assert errors.rows[0].label.startswith(f"{listed.row[0]}: {KINDS[listed.kind[0]]}")
 
 
-def test_drives_of_one_name_detect_for_themselves(drive, detector, connect_browser, monkeypatch):
+def test_drives_of_one_name_detect_for_themselves(
+    drive, detector, connect_browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
     other = type(drive)(drive=Path("elsewhere/street"))
     app = ReviewApp(ReviewModel([drive, other], detector), start_server())
     try:
@@ -148,7 +150,7 @@ def test_drives_of_one_name_detect_for_themselves(drive, detector, connect_brows
         app.close()
 
 
-def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_again(session):
+def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_again(session) -> None:
     session.detect_all()
     errors = panel(session, ErrorsPanel)
     wait_for(lambda: "12 of 12 frames" in errors.progress.content)
@@ -164,7 +166,7 @@ def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_agai
     assert (session.report(session.state).errors.kind != FP).all()
 
 
-def test_clean_sweeps_have_no_list_of_what_is_broken(session, fake_fog):
+def test_clean_sweeps_have_no_list_of_what_is_broken(session, fake_fog) -> None:
     errors = panel(session, ErrorsPanel)
     session.update(corruption="fog", listed="broken")
     session.wait_drawn()
@@ -175,11 +177,11 @@ def test_clean_sweeps_have_no_list_of_what_is_broken(session, fake_fog):
     assert session.state.listed == "all" and errors._report is session.report(session.state)
 
 
-def test_where_there_is_no_report_nothing_is_left_of_the_one_before(session, monkeypatch):
+def test_where_there_is_no_report_nothing_is_left_of_the_one_before(session, monkeypatch: pytest.MonkeyPatch) -> None:
     errors = panel(session, ErrorsPanel)
     wait_for(lambda: errors.rows[0].visible and errors.plot is not None)
 
-    def none(*_):
+    def none(*_) -> None:
         raise SettingsError("street: methods: expected a set of detections, found none")
 
     with monkeypatch.context() as patch:
@@ -194,8 +196,8 @@ def test_where_there_is_no_report_nothing_is_left_of_the_one_before(session, mon
     wait_for(lambda: errors.rows[0].visible and errors.plot is not None)
 
 
-def test_a_panel_that_fails_keeps_no_other_from_being_set(session, monkeypatch):
-    def fails(_):
+def test_a_panel_that_fails_keeps_no_other_from_being_set(session, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_) -> None:
         raise RuntimeError("no curve")
 
     with monkeypatch.context() as patch:
@@ -205,7 +207,7 @@ def test_a_panel_that_fails_keeps_no_other_from_being_set(session, monkeypatch):
         wait_for(lambda: "no curve" in session._notice.content and panel(session, NotesPanel).folder.visible)
 
 
-def test_a_note_is_saved_beside_the_run_and_comes_back(session, tmp_path):
+def test_a_note_is_saved_beside_the_run_and_comes_back(session, tmp_path: Path) -> None:
     notes = panel(session, NotesPanel)
     assert not notes.folder.visible
     RUN["Next missed object"](session)
@@ -231,7 +233,7 @@ def noting(session, **selection):
     return notes
 
 
-def test_browsers_keep_each_others_notes(app, session, connect_browser):
+def test_browsers_keep_each_others_notes(app, session, connect_browser) -> None:
     other = connect_browser(app).session
     mine, theirs = (noting(one, object_id=1005) for one in (session, other))
     theirs.text.value = "a truck hides it"
@@ -250,7 +252,7 @@ def test_browsers_keep_each_others_notes(app, session, connect_browser):
     assert note == {"text": "a van hides it", "tags": ["far"]}
 
 
-def test_what_is_being_written_is_there_again_with_its_error(session):
+def test_what_is_being_written_is_there_again_with_its_error(session) -> None:
     notes = noting(session, object_id=1005)
     notes.text.value = "half a no"
     session.step(1)
@@ -265,7 +267,7 @@ def test_what_is_being_written_is_there_again_with_its_error(session):
     assert len(session.notes) == 1
 
 
-def test_notes_are_of_one_drive_one_ego_and_its_cooperation(drive, detector, tmp_path, connect_browser):
+def test_notes_are_of_one_drive_one_ego_and_its_cooperation(drive, detector, tmp_path: Path, connect_browser) -> None:
     other = type(drive)(drive=Path("elsewhere/street"))
     app = ReviewApp(ReviewModel([drive, other], detector, NoteBook(tmp_path)), start_server())
     try:
@@ -288,7 +290,7 @@ def test_notes_are_of_one_drive_one_ego_and_its_cooperation(drive, detector, tmp
         app.close()
 
 
-def test_the_list_is_saved_with_its_notes(session, monkeypatch):
+def test_the_list_is_saved_with_its_notes(session, monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
     monkeypatch.setattr(session.client, "send_file_download", lambda name, content: given.append((name, content)))
     errors = panel(session, ErrorsPanel)
@@ -299,7 +301,7 @@ def test_the_list_is_saved_with_its_notes(session, monkeypatch):
     assert len(content.decode().splitlines()) == 1 + len(session.report(session.state).errors)
 
 
-def test_in_the_light_theme_nothing_in_the_list_is_dark_and_no_curve_white(session):
+def test_in_the_light_theme_nothing_in_the_list_is_dark_and_no_curve_white(session) -> None:
     errors = panel(session, ErrorsPanel)
     for theme in ("light", "dark", "light"):
         session.update(theme=theme)

@@ -33,7 +33,7 @@ def lab(session):
     return panel(session, CorruptionLabPanel)
 
 
-def test_a_corruption_brings_its_parameters(session, lab):
+def test_a_corruption_brings_its_parameters(session, lab) -> None:
     assert not lab.parameters and not lab.effects.visible
     session.update(corruption="point_dropping", severity=4)
     session.wait_drawn()
@@ -44,7 +44,7 @@ def test_a_corruption_brings_its_parameters(session, lab):
     wait_for(lambda: not lab.parameters)
 
 
-def test_a_slider_changes_the_sweeps_and_the_severity_sets_it_back(session, lab):
+def test_a_slider_changes_the_sweeps_and_the_severity_sets_it_back(session, lab) -> None:
     session.update(corruption="point_dropping")
     session.wait_drawn()
     slider = lab.parameters["share"].handle
@@ -57,7 +57,7 @@ def test_a_slider_changes_the_sweeps_and_the_severity_sets_it_back(session, lab)
     wait_for(lambda: slider.value == pytest.approx(0.06))
 
 
-def test_choices_and_whole_numbers_keep_their_type(session, lab):
+def test_choices_and_whole_numbers_keep_their_type(session, lab) -> None:
     session.update(corruption="point_dropping")
     session.wait_drawn()
     lab.parameters["how"].handle.value = "patches"
@@ -71,7 +71,7 @@ def test_choices_and_whole_numbers_keep_their_type(session, lab):
     wait_for(lambda: session.state.parameters == ())
 
 
-def test_lost_points_are_drawn_and_all_are_counted(session, lab):
+def test_lost_points_are_drawn_and_all_are_counted(session, lab) -> None:
     whole = session.view.agents[0]
     session.update(corruption="point_dropping", color_by="fate")
     agent = session.wait_drawn().agents[0]
@@ -86,14 +86,14 @@ def test_lost_points_are_drawn_and_all_are_counted(session, lab):
     assert not node(session, "/agents/ego_vehicle_1000/lidar/lost").visible
 
 
-def test_moved_points_are_counted_as_such(session, lab):
+def test_moved_points_are_counted_as_such(session, lab) -> None:
     session.update(corruption="noise", parameters=(("size_m", 0.2),))
     agent = session.wait_drawn().agents[0]
     wait_for(lambda: ["vehicle 1000", f"{agent.total}", "0", f"{agent.total}", "0"] in counted(lab))
     assert counted(lab)[0] == ["", "points", "added", "moved", "lost"]
 
 
-def test_colours_that_are_a_scale_have_a_bar(session):
+def test_colours_that_are_a_scale_have_a_bar(session) -> None:
     agents = panel(session, AgentsPanel)
     for color_by, ends in (("height", ("-0.5 m", "8 m")), ("intensity", ("0", "1"))):
         session.update(color_by=color_by)
@@ -105,7 +105,7 @@ def test_colours_that_are_a_scale_have_a_bar(session):
     wait_for(lambda: "linear-gradient" not in agents.legend.content)
 
 
-def test_the_ego_is_named_and_others_when_they_are_selected(session):
+def test_the_ego_is_named_and_others_when_they_are_selected(session) -> None:
     names = {"ego": "/agents/ego_vehicle_1000/label", "other": "/agents/vehicle_1002/label"}
     assert node(session, names["ego"]).visible and not node(session, names["other"]).visible
     session.update(object_id=1002)
@@ -113,7 +113,7 @@ def test_the_ego_is_named_and_others_when_they_are_selected(session):
     assert node(session, names["other"]).visible
 
 
-def test_clean_and_back_keeps_the_parameters(session):
+def test_clean_and_back_keeps_the_parameters(session) -> None:
     session.update(corruption="noise", severity=2, parameters=(("size_m", 0.2),))
     toggle_corruption(session)
     assert (session.state.corruption, session.state.parameters) == ("clean", ())
@@ -121,7 +121,7 @@ def test_clean_and_back_keeps_the_parameters(session):
     assert (session.state.corruption, session.state.parameters) == ("noise", (("size_m", 0.2),))
 
 
-def test_a_link_with_parameters_that_do_not_exist_is_refused(model):
+def test_a_link_with_parameters_that_do_not_exist_is_refused(model) -> None:
     state, _, complaints = read_link("corruption=noise&parameters=loud:3", model, ReviewState())
     assert state == ReviewState(corruption="noise") and "expected size_m" in complaints[0]
     state, _, complaints = read_link("corruption=fog&parameters=extinction:-3", model, ReviewState())
@@ -130,7 +130,7 @@ def test_a_link_with_parameters_that_do_not_exist_is_refused(model):
     assert write_link(model, tuned, None) == "corruption=fog&parameters=extinction:0.123"
 
 
-def test_the_ap_of_the_drive_is_filled_in_clean_and_corrupted(session, lab):
+def test_the_ap_of_the_drive_is_filled_in_clean_and_corrupted(session, lab) -> None:
     session.update(corruption="point_dropping", parameters=(("share", 0.6),))
     session.wait_drawn()
     wait_for(lambda: "| 1 of 12 |" in lab.scores.content and lab.detect.visible)
@@ -143,7 +143,7 @@ def test_the_ap_of_the_drive_is_filled_in_clean_and_corrupted(session, lab):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
+def recorded(tmp_path_factory: pytest.TempPathFactory):
     """Page of a simulated drive, which has a world."""
     drive = open_drive(small_drive(tmp_path_factory.mktemp("data")))
     app = ReviewApp(ReviewModel([drive]), start_server())
@@ -179,7 +179,7 @@ def cast_after(session, **changes):
     return cast_of(session)
 
 
-def test_a_preset_on_the_ego_is_cast_and_counted(placed):
+def test_a_preset_on_the_ego_is_cast_and_counted(placed) -> None:
     sensors = panel(placed, SensorLabPanel)
     made = cast_after(placed, sensor="vlp-16")
     assert made.rays == made.sweep.spec.rings * made.sweep.spec.columns
@@ -197,7 +197,7 @@ def test_a_preset_on_the_ego_is_cast_and_counted(placed):
     assert not sensors.text.visible
 
 
-def test_the_gizmo_moves_the_sensor(placed):
+def test_the_gizmo_moves_the_sensor(placed) -> None:
     sensors = panel(placed, SensorLabPanel)
     cast_after(placed, sensor="vlp-16")
     ego = placed.view.ego.review_from_body
@@ -212,7 +212,7 @@ def test_the_gizmo_moves_the_sensor(placed):
     assert sensors.position.value == pytest.approx((1.0, 2.0, 4.0), abs=0.01)
 
 
-def test_numbers_move_the_sensor_and_the_usual_place_brings_it_back(placed):
+def test_numbers_move_the_sensor_and_the_usual_place_brings_it_back(placed) -> None:
     sensors = panel(placed, SensorLabPanel)
     cast_after(placed, sensor="vlp-16", carrier="pole")
     sensors.position.value = (3.0, -2.0, 7.0)
@@ -222,7 +222,7 @@ def test_numbers_move_the_sensor_and_the_usual_place_brings_it_back(placed):
     assert placed.state.placement == ()
 
 
-def test_the_newest_place_wins(placed, monkeypatch):
+def test_the_newest_place_wins(placed, monkeypatch: pytest.MonkeyPatch) -> None:
     from dsrc.review.labs.casting import DriveWorld
 
     gate, cast, places = threading.Event(), DriveWorld.cast, []
@@ -244,7 +244,7 @@ def test_the_newest_place_wins(placed, monkeypatch):
     np.testing.assert_allclose(node(placed, "/lab/lidar").position, (0.0, 0.0, 7.0))
 
 
-def test_a_drive_without_a_world_says_so_in_a_line(session):
+def test_a_drive_without_a_world_says_so_in_a_line(session) -> None:
     session.update(sensor="vlp-16")
     session.wait_drawn()
     text = panel(session, SensorLabPanel).text
@@ -252,7 +252,7 @@ def test_a_drive_without_a_world_says_so_in_a_line(session):
     assert "\n" not in text.content and node(session, "/lab/lidar/points") is None
 
 
-def test_a_placement_of_a_link_is_five_numbers_within_reach(model):
+def test_a_placement_of_a_link_is_five_numbers_within_reach(model) -> None:
     state, _, complaints = read_link("sensor=vlp-16&carrier=pole&placement=1,2,5,90,-10", model, ReviewState())
     assert (state.sensor, state.carrier, state.placement) == ("vlp-16", "pole", (1.0, 2.0, 5.0, 90.0, -10.0))
     assert not complaints

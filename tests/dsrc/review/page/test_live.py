@@ -26,7 +26,7 @@ def page():
         yield page
 
 
-def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(page, connect_browser):
+def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(page, connect_browser) -> None:
     session = connect_browser(page.app).session
     wait_for(lambda: "first frame to come" in session._notice.content)
     page.source.put(street_frame(0))
@@ -34,7 +34,7 @@ def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(page, conne
     wait_for(lambda: not session._notice.visible)
 
 
-def test_play_before_the_first_frame_waits_for_it(page, connect_browser):
+def test_play_before_the_first_frame_waits_for_it(page, connect_browser) -> None:
     session = connect_browser(page.app).session
     wait_for(lambda: "first frame to come" in session._notice.content)
     session.toggle_play()
@@ -44,7 +44,7 @@ def test_play_before_the_first_frame_waits_for_it(page, connect_browser):
     wait_for(lambda: session.view is not None and session.view.index == 0)
 
 
-def test_first_and_last_are_the_ends_of_what_is_kept(connect_browser):
+def test_first_and_last_are_the_ends_of_what_is_kept(connect_browser) -> None:
     run = {command.label: command.run for command in COMMANDS}
     with live_page(LiveSource("street", kept=3)) as page:
         for index in range(6):
@@ -62,7 +62,7 @@ def test_first_and_last_are_the_ends_of_what_is_kept(connect_browser):
         assert session.state.frame == 3
 
 
-def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, connect_browser):
+def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, connect_browser) -> None:
     page.source.put(street_frame(0))
     session = connect_browser(page.app).session
     for index in range(1, 5):
@@ -79,7 +79,7 @@ def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, conne
     wait_for(lambda: session.view.index == 6)
 
 
-def test_a_browser_that_comes_later_follows_the_newest_frame_unless_its_link_names_one(page, connect_browser):
+def test_a_browser_that_comes_later_follows_the_newest_frame_unless_its_link_names_one(page, connect_browser) -> None:
     for index in range(6):
         page.source.put(street_frame(index))
     late, stays = (connect_browser(page.app, link).session for link in ("", "frame=2"))
@@ -90,7 +90,7 @@ def test_a_browser_that_comes_later_follows_the_newest_frame_unless_its_link_nam
 
 
 @pytest.mark.parametrize("link", ["", "frame=0"])
-def test_a_browser_starts_at_no_frame_that_is_no_longer_kept(connect_browser, link):
+def test_a_browser_starts_at_no_frame_that_is_no_longer_kept(connect_browser, link: str) -> None:
     with live_page(LiveSource("street", kept=2)) as page:
         for index in range(6):
             page.source.put(street_frame(index))
@@ -98,7 +98,7 @@ def test_a_browser_starts_at_no_frame_that_is_no_longer_kept(connect_browser, li
         assert connect_browser(page.app, link).session.wait_drawn().index == 4
 
 
-def test_a_selected_detection_is_left_with_its_frame_and_a_selected_object_is_not(page, connect_browser):
+def test_a_selected_detection_is_left_with_its_frame_and_a_selected_object_is_not(page, connect_browser) -> None:
     page.source.put(street_frame(0))
     session = connect_browser(page.app).session
     session.wait_drawn()
@@ -113,7 +113,7 @@ def test_a_selected_detection_is_left_with_its_frame_and_a_selected_object_is_no
     assert session.state.object_id == 1003
 
 
-def test_whoever_makes_frames_never_waits_for_the_page(page, connect_browser):
+def test_whoever_makes_frames_never_waits_for_the_page(page, connect_browser) -> None:
     connect_browser(page.app)
     frame = street_frame(0)
     started = time.perf_counter()
@@ -122,7 +122,7 @@ def test_whoever_makes_frames_never_waits_for_the_page(page, connect_browser):
     assert (time.perf_counter() - started) / 200 < 0.005
 
 
-def test_generate_hands_every_frame_to_who_watches(tmp_path: Path):
+def test_generate_hands_every_frame_to_who_watches(tmp_path: Path) -> None:
     from dsrc.data.write import generate
 
     seen = []
@@ -133,7 +133,7 @@ def test_generate_hands_every_frame_to_who_watches(tmp_path: Path):
     assert again == [], "what is on disk is not made again"
 
 
-def test_an_episode_that_is_driven_is_followed_with_its_plan(connect_browser):
+def test_an_episode_that_is_driven_is_followed_with_its_plan(connect_browser) -> None:
     log = full_log()
     source = EpisodeSource("episode")
     with live_page(source) as page:
@@ -148,14 +148,14 @@ def test_an_episode_that_is_driven_is_followed_with_its_plan(connect_browser):
         wait_for(lambda: f"outcome: {log.outcome}" in text.content)
 
 
-def test_the_loop_shows_every_step_to_who_watches():
+def test_the_loop_shows_every_step_to_who_watches() -> None:
     seen = []
     loop = ClosedLoop("four_way", TruthPerception(), settings=LoopSettings(duration_s=1.0))
     loop.run(1, lambda running: seen.append(running.tick))
     assert seen == loop.ticks and len(seen) > 5
 
 
-def test_one_episode_alone_is_shown_while_it_is_driven():
+def test_one_episode_alone_is_shown_while_it_is_driven() -> None:
     for options, told in (({"seed": (0, 1)}, "--view shows one episode"), ({"critical": "severity"}, "--view")):
         with pytest.raises(SettingsError, match=f"drive: .*{told}"):
             Drive(what="four_way", view=True, **options).run()

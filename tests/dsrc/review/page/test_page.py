@@ -6,6 +6,7 @@ import time
 import urllib.error
 import urllib.request
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def node(server, name):
     return server.scene.get_handle_by_name(name)
 
 
-def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, model):
+def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, model) -> None:
     view = model.view(ReviewState())
     SceneWriter(server.scene).write(view)
     cloud = node(server, "/agents/ego_vehicle_1000/lidar/points")
@@ -47,7 +48,7 @@ def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, mod
     assert len(node(server, "/bodies/car").batched_positions) == len(view.truth)
 
 
-def test_the_points_of_the_next_frame_replace_those_of_the_last(server, model):
+def test_the_points_of_the_next_frame_replace_those_of_the_last(server, model) -> None:
     writer = SceneWriter(server.scene)
     for row in (0, 1):
         view = model.view(ReviewState(frame=row))
@@ -60,7 +61,7 @@ def test_the_points_of_the_next_frame_replace_those_of_the_last(server, model):
     np.testing.assert_array_equal(sent["colors"], view.agents[0].colors, strict=True)
 
 
-def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model):
+def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model) -> None:
     writer = SceneWriter(server.scene)
     for threshold, shown in ((0.0, True), (1.0, False), (0.0, True)):
         writer.write(model.view(ReviewState(threshold=threshold)))
@@ -68,7 +69,7 @@ def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model):
         assert node(server, "/detections/fp/faces").visible is shown
 
 
-def test_layers_can_be_switched_off(server, model):
+def test_layers_can_be_switched_off(server, model) -> None:
     writer = SceneWriter(server.scene)
     writer.write(model.view(ReviewState(layers_off=frozenset(SHOWN_LAYERS))))
     place_static(server.scene, "", [])
@@ -77,7 +78,7 @@ def test_layers_can_be_switched_off(server, model):
     assert node(server, "/agents/vehicle_1002/lidar/points").visible
 
 
-def test_clearing_leaves_nothing_of_a_drive(server, model, recwarn):
+def test_clearing_leaves_nothing_of_a_drive(server, model, recwarn: pytest.WarningsRecorder) -> None:
     writer = SceneWriter(server.scene)
     writer.write(model.view(ReviewState()))
     writer.clear()
@@ -87,7 +88,7 @@ def test_clearing_leaves_nothing_of_a_drive(server, model, recwarn):
     assert not recwarn.list
 
 
-def test_an_agent_that_leaves_takes_its_points_with_it(server, model):
+def test_an_agent_that_leaves_takes_its_points_with_it(server, model) -> None:
     writer = SceneWriter(server.scene)
     view = model.view(ReviewState())
     writer.write(view)
@@ -96,7 +97,7 @@ def test_an_agent_that_leaves_takes_its_points_with_it(server, model):
     assert node(server, "/agents/vehicle_1002/lidar/points") is not None
 
 
-def test_without_labels_nothing_is_judged(drive, detector, monkeypatch):
+def test_without_labels_nothing_is_judged(drive, detector, monkeypatch: pytest.MonkeyPatch) -> None:
     read = type(drive).read
     empty = Boxes.zeros()
 
@@ -122,7 +123,7 @@ def ghosts():
     return Detections(boxes, np.array([0.9, 0.5], np.float32))
 
 
-def test_the_page_listens_on_the_loopback_only_and_answers(app):
+def test_the_page_listens_on_the_loopback_only_and_answers(app) -> None:
     assert app.url.startswith("http://127.0.0.1:")
     with urllib.request.urlopen(app.url, timeout=10) as answer:
         assert answer.status == 200
@@ -132,14 +133,14 @@ def test_the_page_listens_on_the_loopback_only_and_answers(app):
 @pytest.mark.parametrize(
     "headers", [{"Origin": "http://evil.example"}, {"Origin": "http://127.0.0.1:1"}, {"Origin": "null"}]
 )
-def test_a_page_of_another_origin_gets_neither_the_scene_nor_the_page(app, headers):
+def test_a_page_of_another_origin_gets_neither_the_scene_nor_the_page(app, headers: dict[str, str]) -> None:
     with pytest.raises(InvalidStatus, match="403"):
         connect(app.url.replace("http", "ws"), additional_headers=headers)
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(urllib.request.Request(app.url, headers=headers), timeout=10)
 
 
-def test_a_foreign_name_that_leads_to_the_loopback_gets_nothing(app):
+def test_a_foreign_name_that_leads_to_the_loopback_gets_nothing(app) -> None:
     port = app.url.rsplit(":", 1)[1]
     named = {"Host": f"evil.example:{port}", "Origin": f"http://evil.example:{port}"}
     with pytest.raises(urllib.error.HTTPError, match="403"):
@@ -150,7 +151,7 @@ def test_a_foreign_name_that_leads_to_the_loopback_gets_nothing(app):
         assert answer.status == 200
 
 
-def test_serve_opens_a_folder_of_drives(tmp_path, frame, connect_browser):
+def test_serve_opens_a_folder_of_drives(tmp_path: Path, frame, connect_browser) -> None:
     for index in (0, 1):
         write_frame(tmp_path / "drive", replace(frame, index=index))
     announced = []
@@ -163,7 +164,7 @@ def test_serve_opens_a_folder_of_drives(tmp_path, frame, connect_browser):
         app.close()
 
 
-def test_bad_input_fails_before_a_server_starts(tmp_path, frame, monkeypatch):
+def test_bad_input_fails_before_a_server_starts(tmp_path: Path, frame, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.review.page.app.start_server", lambda *_: pytest.fail("a server was started"))
     with pytest.raises(SettingsError, match="unknown corruption 'clen'; did you mean 'clean'"):
         serve(tmp_path, corruption="clen", block=False)
@@ -178,7 +179,7 @@ def test_bad_input_fails_before_a_server_starts(tmp_path, frame, monkeypatch):
         serve(tmp_path, block=False)
 
 
-def test_a_drive_that_cannot_be_read_does_not_block_the_others(tmp_path, frame, connect_browser):
+def test_a_drive_that_cannot_be_read_does_not_block_the_others(tmp_path: Path, frame, connect_browser) -> None:
     for name in ("a", "b"):
         write_frame(tmp_path / name, frame)
     for pcd in (tmp_path / "a").rglob("*.pcd"):
@@ -190,7 +191,7 @@ def test_a_drive_that_cannot_be_read_does_not_block_the_others(tmp_path, frame, 
         app.close()
 
 
-def test_a_busy_port_is_one_line(tmp_path):
+def test_a_busy_port_is_one_line(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -203,14 +204,14 @@ def test_a_busy_port_is_one_line(tmp_path):
         serve(tmp_path, host="256.1.1.1", block=False)
 
 
-def test_the_light_is_drawn_once_for_all(app, browser, connect_browser):
+def test_the_light_is_drawn_once_for_all(app, browser, connect_browser) -> None:
     connect_browser(app)
     assert node(app.server, "/light/ambient") is not None
     assert node(app.server, "/drive0/world/grid") is not None
     assert isinstance(app, ReviewApp) and len(app.sessions) == 2
 
 
-def test_a_connection_that_a_browser_opens_ahead_and_drops_is_not_told(app, caplog):
+def test_a_connection_that_a_browser_opens_ahead_and_drops_is_not_told(app, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.ERROR, logger="websockets.server")
     with socket.create_connection(("127.0.0.1", int(app.url.rsplit(":", 1)[1]))):
         pass

@@ -27,7 +27,7 @@ def handle(session, field, label=None):
     return next(b.handle for b in bound if b.control.field == field and label in (None, b.control.label))
 
 
-def test_a_slider_moves_the_page(session):
+def test_a_slider_moves_the_page(session) -> None:
     handle(session, "frame").value = 5
     wait_for(lambda: session.state.frame == 5)
     assert session.wait_drawn().index == 5
@@ -49,7 +49,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("field", CHANGES)
-def test_every_control_follows_the_state(session, fake_fog, field):
+def test_every_control_follows_the_state(session, fake_fog, field) -> None:
     session.update(**{field: CHANGES[field]})
     session.wait_drawn()
     bound = [control for panel in session.panels for control in getattr(panel, "controls", ())]
@@ -60,12 +60,12 @@ def test_every_control_follows_the_state(session, fake_fog, field):
         assert one.handle.value == shown.get(field, CHANGES[field])
 
 
-def test_every_field_with_a_control_is_tried_above():
+def test_every_field_with_a_control_is_tried_above() -> None:
     elsewhere = {"drive", "boxes_by"}
     assert {control.field for control in CONTROLS if control.widget} - elsewhere == set(CHANGES)
 
 
-def test_a_control_sets_the_state(session, fake_fog):
+def test_a_control_sets_the_state(session, fake_fog) -> None:
     handle(session, "corruption").value = "fog"
     wait_for(lambda: session.state.corruption == "fog")
     session.wait_drawn()
@@ -77,14 +77,14 @@ def test_a_control_sets_the_state(session, fake_fog):
     assert not node(session, "/bodies").visible
 
 
-def test_an_agents_switch_hides_its_points(session):
+def test_an_agents_switch_hides_its_points(session) -> None:
     panel(session, AgentsPanel).switches[1002].handle.value = False
     wait_for(lambda: session.state.hidden == {1002})
     session.wait_drawn()
     assert not node(session, "/agents/vehicle_1002/lidar/points").visible
 
 
-def test_another_ego_is_selected_by_name(session, detector):
+def test_another_ego_is_selected_by_name(session, detector) -> None:
     assert handle(session, "ego_id").value == "vehicle 1000"
     handle(session, "ego_id").value = "vehicle 1002"
     wait_for(lambda: session.state.ego_id == 1002)
@@ -94,19 +94,19 @@ def test_another_ego_is_selected_by_name(session, detector):
     assert node(session, "/agents/ego_vehicle_1002/lidar/points").visible
 
 
-def test_the_report_counts_what_is_drawn(session):
+def test_the_report_counts_what_is_drawn(session) -> None:
     counts = session.view.counts
     assert f"| this frame | {counts.tp} | {counts.fp} | {counts.fn} |" in panel(session, ReportPanel).text.content
 
 
-def test_steps_stop_at_the_ends(session):
+def test_steps_stop_at_the_ends(session) -> None:
     session.step(-1)
     assert session.state.frame == 0
     session.step(100)
     assert session.state.frame == 11
 
 
-def test_playing_goes_around_until_it_is_paused(session):
+def test_playing_goes_around_until_it_is_paused(session) -> None:
     session.update(frame=9, speed=4.0)
     session.toggle_play()
     wait_for(lambda: session.view.index in (0, 1, 2))
@@ -118,7 +118,7 @@ def test_playing_goes_around_until_it_is_paused(session):
     wait_for(lambda: panel(session, TimelinePanel).play.label == "Play")
 
 
-def test_the_frames_that_come_next_are_read_ahead(session, drive, fake_fog):
+def test_the_frames_that_come_next_are_read_ahead(session, drive, fake_fog) -> None:
     wait_for(lambda: 1 in drive.reads)
     session.update(frame=6, corruption="fog", speed=0.25)
     session.wait_drawn()
@@ -129,7 +129,7 @@ def test_the_frames_that_come_next_are_read_ahead(session, drive, fake_fog):
     session.toggle_play()
 
 
-def test_nothing_plays_without_a_browser(app, browser):
+def test_nothing_plays_without_a_browser(app, browser) -> None:
     session = browser.session
     session.toggle_play()
     browser.close()
@@ -139,7 +139,7 @@ def test_nothing_plays_without_a_browser(app, browser):
     assert session.state.frame == stopped and not session._thread.is_alive()
 
 
-def test_the_latest_state_wins(session, model, monkeypatch):
+def test_the_latest_state_wins(session, model, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn, gate = [], threading.Event()
     view = model.view
 
@@ -159,7 +159,9 @@ def test_the_latest_state_wins(session, model, monkeypatch):
 
 
 @pytest.mark.parametrize("error", [DataError("street/1000/000004.pcd: cut short"), KeyError("yaw")])
-def test_what_cannot_be_drawn_is_told_and_the_next_frame_is_drawn(session, drive, monkeypatch, error):
+def test_what_cannot_be_drawn_is_told_and_the_next_frame_is_drawn(
+    session, drive, monkeypatch: pytest.MonkeyPatch, error
+) -> None:
     read = type(drive).read
 
     def broken(self, i):
@@ -175,7 +177,9 @@ def test_what_cannot_be_drawn_is_told_and_the_next_frame_is_drawn(session, drive
     assert session.wait_drawn().index == 6 and not session._notice.visible
 
 
-def test_the_first_frame_is_drawn_before_its_detections_are_computed(app, detector, monkeypatch, connect_browser):
+def test_the_first_frame_is_drawn_before_its_detections_are_computed(
+    app, detector, monkeypatch: pytest.MonkeyPatch, connect_browser
+) -> None:
     detect, gate = detector.detect, threading.Event()
     monkeypatch.setattr(detector, "detect", lambda sample: gate.wait(10.0) and detect(sample))
     session = connect_browser(app).session
@@ -189,7 +193,9 @@ def test_the_first_frame_is_drawn_before_its_detections_are_computed(app, detect
     wait_for(lambda: session.address.link)
 
 
-def test_a_broken_first_frame_blocks_nothing_else(model, drive, monkeypatch, connect_browser):
+def test_a_broken_first_frame_blocks_nothing_else(
+    model, drive, monkeypatch: pytest.MonkeyPatch, connect_browser
+) -> None:
     read = type(drive).read
 
     def broken(self, i):
@@ -208,7 +214,7 @@ def test_a_broken_first_frame_blocks_nothing_else(model, drive, monkeypatch, con
         app.close()
 
 
-def test_another_drive_starts_at_its_first_frame(detector, drive, connect_browser):
+def test_another_drive_starts_at_its_first_frame(detector, drive, connect_browser) -> None:
     other = type(drive)(frames=(3, 4))
     app = ReviewApp(ReviewModel([drive, other], detector), start_server(), ReviewState(frame=7))
     try:
@@ -223,7 +229,7 @@ def test_another_drive_starts_at_its_first_frame(detector, drive, connect_browse
         app.close()
 
 
-def test_two_browsers_do_not_move_each_other(app, browser, connect_browser):
+def test_two_browsers_do_not_move_each_other(app, browser, connect_browser) -> None:
     first, second = browser.session, connect_browser(app).session
     second.wait_drawn()
     place = np.array(first.client.camera.position)
@@ -243,7 +249,7 @@ def ego_in_scene(session):
     return turn @ place[:3, 3] + np.array(root.position), turn @ place[:3, :3]
 
 
-def test_a_chasing_camera_stays_behind_the_ego(session):
+def test_a_chasing_camera_stays_behind_the_ego(session) -> None:
     session.place_camera("chase")
     session.wait_drawn()
     for frame in (0, 3, 11):
@@ -255,7 +261,7 @@ def test_a_chasing_camera_stays_behind_the_ego(session):
     np.testing.assert_allclose(session.client.camera.position, [-34.0, 0.0, 21.0], atol=1e-6)
 
 
-def test_a_late_pose_of_the_browser_keeps_its_offset_from_the_ego(browser):
+def test_a_late_pose_of_the_browser_keeps_its_offset_from_the_ego(browser) -> None:
     session = browser.session
     session.place_camera("chase")
     session.wait_drawn()
@@ -267,7 +273,7 @@ def test_a_late_pose_of_the_browser_keeps_its_offset_from_the_ego(browser):
     np.testing.assert_allclose(ego_in_scene(session)[0], 0.0, atol=1e-6)
 
 
-def test_a_camera_set_free_keeps_its_picture(session):
+def test_a_camera_set_free_keeps_its_picture(session) -> None:
     session.update(frame=6)
     session.wait_drawn()
     session.place_camera("chase")
@@ -279,7 +285,7 @@ def test_a_camera_set_free_keeps_its_picture(session):
     np.testing.assert_allclose(session.stage.roots[0].position, 0.0, atol=1e-9)
 
 
-def test_the_camera_flies_to_the_selected_box(session):
+def test_the_camera_flies_to_the_selected_box(session) -> None:
     session._select(Clicked(object_id=1003))
     session.wait_drawn()
     {command.label: command for command in COMMANDS}["Camera: to the selected box"].run(session)
@@ -289,13 +295,13 @@ def test_the_camera_flies_to_the_selected_box(session):
     assert np.linalg.norm(session.client.camera.position - target) == pytest.approx(24.0)
 
 
-def test_keys_are_unique_and_leave_the_cameras_keys_alone():
+def test_keys_are_unique_and_leave_the_cameras_keys_alone() -> None:
     keys = [(command.key.upper(), command.shift) for command in COMMANDS]
     assert len(set(keys)) == len(keys)
     assert not {key for key, _ in keys} & set("WASDQE")
 
 
-def test_commands_change_the_page(session, fake_fog):
+def test_commands_change_the_page(session, fake_fog) -> None:
     run = {command.label: command.run for command in COMMANDS}
     run["Last frame"](session)
     assert session.state.frame == 11
@@ -317,7 +323,7 @@ def test_commands_change_the_page(session, fake_fog):
     assert session.state.camera == "free"
 
 
-def test_an_object_is_selected_in_the_list_or_by_a_click(session):
+def test_an_object_is_selected_in_the_list_or_by_a_click(session) -> None:
     card = panel(session, SelectionPanel).card
     handle(session, "object_id").value = "car 1003"
     wait_for(lambda: session.state.object_id == 1003)
@@ -335,7 +341,7 @@ def test_an_object_is_selected_in_the_list_or_by_a_click(session):
     assert session.wait_drawn().details is None
 
 
-def test_a_clicked_detection_opens_its_card(session):
+def test_a_clicked_detection_opens_its_card(session) -> None:
     view = session.view
     ghost = int(view.ranks["detections/fp"][0])
     session._select(session.stage.writer._clickable["detections/fp/faces"][0])
@@ -347,7 +353,7 @@ def test_a_clicked_detection_opens_its_card(session):
     assert session.wait_drawn().details is None, "a place in another list of scores is another detection"
 
 
-def test_points_before_and_after_a_corruption_are_told_apart(session, fake_fog):
+def test_points_before_and_after_a_corruption_are_told_apart(session, fake_fog) -> None:
     session._select(Clicked(object_id=1003))
     session.update(corruption="fog")
     rows = session.wait_drawn().details.visibility

@@ -1,6 +1,7 @@
 """An episode log opens as frames of its road users, with what the ego saw, believed and planned."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -32,11 +33,11 @@ def log() -> EpisodeLog:
 
 
 @pytest.fixture(scope="module")
-def source(log) -> EpisodeSource:
+def source(log: EpisodeLog) -> EpisodeSource:
     return episode_source(log)
 
 
-def test_frames_are_the_road_users_of_the_steps(log, source):
+def test_frames_are_the_road_users_of_the_steps(log: EpisodeLog, source: EpisodeSource) -> None:
     assert len(source) == len(log) and source.labelled and SCENARIO.name in source.name
     for row, tick in enumerate(log.ticks):
         frame = source.read(row)
@@ -46,7 +47,7 @@ def test_frames_are_the_road_users_of_the_steps(log, source):
         assert np.isclose(frame.agents[0].world_from_body[2, 3], tick.ego.box.center[0, 2] - 0.8, atol=0.02)
 
 
-def test_a_moment_holds_the_newest_percept_tracks_claims_and_links(log, source):
+def test_a_moment_holds_the_newest_percept_tracks_claims_and_links(log: EpisodeLog, source: EpisodeSource) -> None:
     for row, tick in enumerate(log.ticks):
         moment = source.moment(row)
         newest = next((t.percept for t in log.ticks[row::-1] if t.percept is not None), None)
@@ -63,7 +64,7 @@ def test_a_moment_holds_the_newest_percept_tracks_claims_and_links(log, source):
     assert any(source.moment(row).claimed_by == ("truck",) for row in range(len(log)))
 
 
-def test_a_timeline_says_how_the_episode_went(log, source):
+def test_a_timeline_says_how_the_episode_went(log: EpisodeLog, source: EpisodeSource) -> None:
     line = source.timeline()
     assert len(line.time_s) == len(log) == len(line.reason) and (np.diff(line.time_s) > 0).all()
     contact = next((row for row, tick in enumerate(log.ticks) if tick.contact is not None), None)
@@ -72,7 +73,7 @@ def test_a_timeline_says_how_the_episode_went(log, source):
     np.testing.assert_array_equal(line.claims > 0, [bool(tick.claims) for tick in log.ticks])
 
 
-def test_percepts_and_tracks_are_sets_of_detections_around_the_ego(source):
+def test_percepts_and_tracks_are_sets_of_detections_around_the_ego(source: EpisodeSource) -> None:
     assert list(source.sets) == [PERCEPTS, TRACKS]
     for name in (PERCEPTS, TRACKS):
         table = source.sets[name].run(Setup())
@@ -81,7 +82,7 @@ def test_percepts_and_tracks_are_sets_of_detections_around_the_ego(source):
         assert (np.hypot(*table.truth[:, :2].T) <= 70.0).all()
 
 
-def test_a_detection_of_the_ego_itself_is_no_false_one(log):
+def test_a_detection_of_the_ego_itself_is_no_false_one(log: EpisodeLog) -> None:
     tick = log.ticks[0]
     shifts = np.array([[0.4, 0.0, 0.1], [0.0, 10.0, 0.0]])
     boxes = concatenate([replace(tick.ego.box, center=tick.ego.box.center + shift) for shift in shifts])
@@ -91,14 +92,14 @@ def test_a_detection_of_the_ego_itself_is_no_false_one(log):
     assert result.detections.score.tolist() == pytest.approx([0.8])
 
 
-def test_an_episode_stands_in_the_world_of_its_scenario(log):
+def test_an_episode_stands_in_the_world_of_its_scenario(log: EpisodeLog) -> None:
     settings = msgspec.structs.replace(log.settings, scenario=load_scenario("ped_dartout"), seed=1)
     model = ReviewModel([episode_source(EpisodeLog(settings, log.ticks[0].actors, log.ticks, log.outcome))])
     names = {part.name for part in model.static_parts(0)}
     assert {"roads", "markings", "buildings"} <= names
 
 
-def test_a_running_episode_grows_step_by_step_and_ends_as_its_log(log, source):
+def test_a_running_episode_grows_step_by_step_and_ends_as_its_log(log: EpisodeLog, source: EpisodeSource) -> None:
     live = EpisodeSource("running")
     with pytest.raises(DataError, match="expected a first frame to come, found 0"):
         live.read(0)
@@ -114,7 +115,9 @@ def test_a_running_episode_grows_step_by_step_and_ends_as_its_log(log, source):
         np.testing.assert_array_equal(ours.truth, theirs.truth)
 
 
-def test_sweeps_that_are_handed_over_are_shown_in_the_latest_frames(log, monkeypatch):
+def test_sweeps_that_are_handed_over_are_shown_in_the_latest_frames(
+    log: EpisodeLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("dsrc.review.sources.episodes.KEPT", 3)
     live = EpisodeSource("running")
     for tick in log.ticks:
@@ -132,7 +135,7 @@ def tilted(tick) -> Frame:
     return Frame(0, 0.0, (agent,), tick.actors.boxes, np.zeros((count, 2)), np.zeros((1, count), np.int32))
 
 
-def test_detections_are_drawn_where_they_are_however_the_sensor_is_mounted(monkeypatch):
+def test_detections_are_drawn_where_they_are_however_the_sensor_is_mounted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.review.sources.episodes.KEPT", 2)
     movers = [Mover("ego", ahead(10.0)), Mover("car", ahead(10.0, x=25.0, y=-3.0))]
     _, ticks = ticks_of(movers, 4, lambda actors: percept_of(actors, [1]))
@@ -150,7 +153,7 @@ def test_detections_are_drawn_where_they_are_however_the_sensor_is_mounted(monke
         np.testing.assert_allclose(place_of(model, 0, errors, ghost), place[0], atol=1e-5)
 
 
-def test_a_detection_of_the_ego_is_known_by_its_body_and_not_by_its_sensor(log):
+def test_a_detection_of_the_ego_is_known_by_its_body_and_not_by_its_sensor(log: EpisodeLog) -> None:
     tick = log.ticks[0]
     corner = replace(tick.ego.box, center=tick.ego.box.center - [1.8, 0.0, 0.0])
     live = EpisodeSource("running")
@@ -158,7 +161,7 @@ def test_a_detection_of_the_ego_is_known_by_its_body_and_not_by_its_sensor(log):
     assert len(live.sets[PERCEPTS].run(Setup()).score) == 0
 
 
-def test_sweeps_of_few_steps_are_dropped_in_time(log, monkeypatch):
+def test_sweeps_of_few_steps_are_dropped_in_time(log: EpisodeLog, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.review.sources.episodes.KEPT", 4)
     live = EpisodeSource("running")
     for row, tick in enumerate(log.ticks):
@@ -167,7 +170,7 @@ def test_sweeps_of_few_steps_are_dropped_in_time(log, monkeypatch):
     assert len(live) == 8 and points == [False] * 6 + [True, False]
 
 
-def test_a_plan_follows_the_route_and_ends_where_the_ego_stands(log):
+def test_a_plan_follows_the_route_and_ends_where_the_ego_stands(log: EpisodeLog) -> None:
     from dataclasses import replace
 
     ego = replace(log.ticks[-1].ego, speed_mps=10.0, route=np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 100.0]]))
@@ -179,7 +182,7 @@ def test_a_plan_follows_the_route_and_ends_where_the_ego_stands(log):
     assert len(plan_of(replace(ego, route=np.zeros((0, 2))), 1.0)) == 1
 
 
-def test_logs_open_by_file_and_by_folder(log, tmp_path):
+def test_logs_open_by_file_and_by_folder(log: EpisodeLog, tmp_path: Path) -> None:
     log.save(tmp_path / "campaign/episodes/b.npz")
     log.save(tmp_path / "campaign/episodes/a.npz")
     assert len(open_sources(tmp_path / "campaign")) == len(open_sources(tmp_path / "campaign/episodes")) == 2
@@ -191,14 +194,14 @@ def test_logs_open_by_file_and_by_folder(log, tmp_path):
         open_sources(tmp_path / "other.npz")
 
 
-def test_the_traffic_and_the_world_of_a_drive_are_no_episodes(tmp_path):
+def test_the_traffic_and_the_world_of_a_drive_are_no_episodes(tmp_path: Path) -> None:
     for name in ("traffic", "world"):
         np.savez(tmp_path / f"{name}.npz", version=1)
     with pytest.raises(DataError, match="drive"):
         open_sources(tmp_path)
 
 
-def test_a_damaged_archive_is_no_episode(log, tmp_path):
+def test_a_damaged_archive_is_no_episode(log: EpisodeLog, tmp_path: Path) -> None:
     path = log.save(tmp_path / "traffic.npz")
     content = bytearray(path.read_bytes())
     # The end still says that it is an archive; its list of contents is cut.

@@ -19,7 +19,7 @@ def table(row: int):
     return one_frame(row, row, 1000, Detections.zeros(), Boxes.zeros())
 
 
-def test_frames_grow_and_old_ones_are_dropped_with_their_detections():
+def test_frames_grow_and_old_ones_are_dropped_with_their_detections() -> None:
     live = LiveSource("street", kept=3)
     assert len(live) == 0 and not live.labelled
     with pytest.raises(DataError, match="street: frame: expected a first frame to come, found 0"):
@@ -35,11 +35,11 @@ def test_frames_grow_and_old_ones_are_dropped_with_their_detections():
             live.read(row)
 
 
-def test_the_maker_never_waits_for_a_reader():
+def test_the_maker_never_waits_for_a_reader() -> None:
     live, frame = LiveSource("street", kept=2), street_frame(0)
     stop = threading.Event()
 
-    def read():
+    def read() -> None:
         while not stop.is_set():
             if len(live):
                 try:
@@ -60,7 +60,7 @@ def test_the_maker_never_waits_for_a_reader():
     assert took < 20.0 and len(live) == 200
 
 
-def test_a_reader_waits_for_the_next_frame_or_the_end():
+def test_a_reader_waits_for_the_next_frame_or_the_end() -> None:
     live = LiveSource("street")
     assert not live.wait(0, timeout_s=0.01)
     threading.Timer(0.05, lambda: live.put(street_frame(0))).start()
@@ -71,7 +71,7 @@ def test_a_reader_waits_for_the_next_frame_or_the_end():
         live.put(street_frame(1))
 
 
-def test_wrong_tables_and_sets_are_refused():
+def test_wrong_tables_and_sets_are_refused() -> None:
     live = LiveSource("street")
     with pytest.raises(ValueError, match="frame 0 alone"):
         live.put(street_frame(0), {"method": table(3)})
@@ -82,7 +82,7 @@ def test_wrong_tables_and_sets_are_refused():
         LiveSource("street", kept=0)
 
 
-def test_a_set_that_grows_gives_the_newest_run():
+def test_a_set_that_grows_gives_the_newest_run() -> None:
     grows = MemorySet("method")
     assert len(grows.run(Setup())) == 0 and grows.conditions() == ()
     for row in (3, 1, 2):

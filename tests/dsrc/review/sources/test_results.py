@@ -23,7 +23,7 @@ FOG = Setup(Condition("fog", 3))
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory) -> tuple[Path, list]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
     root = tmp_path_factory.mktemp("results")
     write_drives(root / "test", drives=2)
     files = [
@@ -35,7 +35,7 @@ def done(tmp_path_factory) -> tuple[Path, list]:
     return root, evaluate_drives(config)
 
 
-def test_results_open_as_their_drives_with_a_set_for_each_method(done):
+def test_results_open_as_their_drives_with_a_set_for_each_method(done: tuple[Path, list]) -> None:
     root, rows = done
     sources = open_sources(root / "out")
     assert [(source.name, list(source.sets)) for source in sources] == [
@@ -51,7 +51,7 @@ def test_results_open_as_their_drives_with_a_set_for_each_method(done):
     assert sources[0].sets["A"].conditions() == (Condition(), Condition("fog", 3))
 
 
-def test_what_is_stored_is_what_the_detector_finds_here(done):
+def test_what_is_stored_is_what_the_detector_finds_here(done: tuple[Path, list]) -> None:
     root, _ = done
     (source, _), here = open_sources(root / "out"), ComputedSet("A", load_student(root / "dsrc.pt"))
     for setup in (Setup(), FOG):
@@ -64,7 +64,7 @@ def test_what_is_stored_is_what_the_detector_finds_here(done):
         assert here.rows(setup).tolist() == [0, 1]
 
 
-def test_frames_other_egos_and_conditions_without_detections_are_unknown(done):
+def test_frames_other_egos_and_conditions_without_detections_are_unknown(done: tuple[Path, list]) -> None:
     root, _ = done
     stored = open_sources(root / "out")[0].sets["A"]
     ego = int(stored.get(0, Setup()).ego_id[0])
@@ -73,7 +73,7 @@ def test_frames_other_egos_and_conditions_without_detections_are_unknown(done):
     assert len(stored.run(Setup(Condition("snow", 3)))) == 0 and len(stored.run(Setup(ego_id=ego + 1))) == 0
 
 
-def test_moved_drives_are_found_where_they_are_said_to_be(done, tmp_path):
+def test_moved_drives_are_found_where_they_are_said_to_be(done: tuple[Path, list], tmp_path: Path) -> None:
     root, _ = done
     shutil.copytree(root / "out", tmp_path / "out")
     shutil.move(shutil.copytree(root / "test", tmp_path / "other"), tmp_path / "moved")
@@ -86,7 +86,7 @@ def test_moved_drives_are_found_where_they_are_said_to_be(done, tmp_path):
     assert len(open_sources(tmp_path / "out", tmp_path / "moved")) == 2
 
 
-def test_detections_of_another_data_set_are_refused(done, tmp_path):
+def test_detections_of_another_data_set_are_refused(done: tuple[Path, list], tmp_path: Path) -> None:
     root, _ = done
     shutil.copytree(root / "out", tmp_path / "out")
     write_drives(tmp_path / "other", drives=2, frames=3)
@@ -94,7 +94,7 @@ def test_detections_of_another_data_set_are_refused(done, tmp_path):
         open_sources(tmp_path / "out", tmp_path / "other")
 
 
-def test_what_a_path_lacks_is_one_line(done, tmp_path):
+def test_what_a_path_lacks_is_one_line(done: tuple[Path, list], tmp_path: Path) -> None:
     root, _ = done
     with pytest.raises(DataError, match="no such folder"):
         open_sources(tmp_path / "nowhere")
@@ -107,7 +107,7 @@ def test_what_a_path_lacks_is_one_line(done, tmp_path):
         open_sources(tmp_path / "a.npz")
 
 
-def test_a_foreign_checkpoint_and_a_repeated_name_are_one_line(done, tmp_path):
+def test_a_foreign_checkpoint_and_a_repeated_name_are_one_line(done: tuple[Path, list], tmp_path: Path) -> None:
     root, _ = done
     sources = open_sources(root / "out")
     (tmp_path / "foreign.pt").write_bytes(b"nothing")
@@ -119,7 +119,7 @@ def test_a_foreign_checkpoint_and_a_repeated_name_are_one_line(done, tmp_path):
     assert list(sources[1].sets) == ["A", "B", "again"] and sources[1].sets["again"].conditions() is None
 
 
-def test_a_damaged_cell_and_frames_of_another_drive_name_their_file(done, tmp_path):
+def test_a_damaged_cell_and_frames_of_another_drive_name_their_file(done: tuple[Path, list], tmp_path: Path) -> None:
     root, _ = done
     out = shutil.copytree(root / "out", tmp_path / "out")
     index = json.loads((out / "detections.json").read_text())
@@ -133,6 +133,6 @@ def test_a_damaged_cell_and_frames_of_another_drive_name_their_file(done, tmp_pa
         open_sources(out)[1].sets["A"].get(0, Setup())
 
 
-def test_conditions_have_titles():
+def test_conditions_have_titles() -> None:
     titles = [c.label for c in (Condition(), FOG.condition, Condition("beam_missing", 5, "paper", "ego"))]
     assert titles == ["clean", "fog 3", "beam missing 5 (paper), ego"]

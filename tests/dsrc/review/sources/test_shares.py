@@ -36,7 +36,7 @@ def ids_of(boxes) -> list[int]:
     return boxes.object_id.tolist()
 
 
-def test_boxes_are_of_the_agent_to_whom_most_of_their_score_is_due(model) -> None:
+def test_boxes_are_of_the_agent_to_whom_most_of_their_score_is_due(model: ReviewModel) -> None:
     view = model.view(ReviewState())
     assert [agent.agent_id for agent in view.agents] == [1000, 1002, -1]
     assert [ids_of(boxes) for boxes in view.help.found] == [[1001], [1003], [1004]]
@@ -53,7 +53,7 @@ def test_boxes_are_of_the_agent_to_whom_most_of_their_score_is_due(model) -> Non
     assert judged.help is None and len(judged.layers[TRUE_POSITIVES]) and len(judged.layers[FALSE_NEGATIVES])
 
 
-def test_the_card_has_the_shares_of_what_is_selected(model) -> None:
+def test_the_card_has_the_shares_of_what_is_selected(model: ReviewModel) -> None:
     for by in ("shares", "verdict"):
         details = model.view(ReviewState(object_id=1004, boxes_by=by)).details
         assert [(one.agent, one.share, one.without) for one in details.shares] == [
@@ -74,7 +74,7 @@ def test_the_card_has_the_shares_of_what_is_selected(model) -> None:
     assert hit.verdict == "true positive" and sum(one.share for one in hit.shares) == pytest.approx(0.8)
 
 
-def test_frames_without_shares_say_where_there_are_some(model, fake_fog) -> None:
+def test_frames_without_shares_say_where_there_are_some(model: ReviewModel, fake_fog) -> None:
     assert (
         "No shares in this frame of this ego; the first with some is in row 0."
         in model.view(ReviewState(frame=1)).notice
@@ -90,7 +90,7 @@ def test_frames_without_shares_say_where_there_are_some(model, fake_fog) -> None
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory) -> Path:
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("shares")
     write_drives(root / "test", drives=1)
     net = write_detector(root / "net.pt", "attfuse")
@@ -98,7 +98,7 @@ def done(tmp_path_factory) -> Path:
     return root
 
 
-def test_a_folder_of_shares_opens_as_its_drives(done, tmp_path) -> None:
+def test_a_folder_of_shares_opens_as_its_drives(done: Path, tmp_path: Path) -> None:
     (source,) = open_sources(done / "out")
     assert (source.name, len(source), source.sets) == ("drive_0", 2, {})
     content = json.loads((done / "out" / FILE).read_text())
@@ -121,7 +121,7 @@ def test_a_folder_of_shares_opens_as_its_drives(done, tmp_path) -> None:
     assert len(open_sources(tmp_path / "out", tmp_path / "moved")) == 1
 
 
-def test_wrong_shares_are_one_line(done, tmp_path) -> None:
+def test_wrong_shares_are_one_line(done: Path, tmp_path: Path) -> None:
     content = json.loads((done / "out" / FILE).read_text())
 
     def told(**changes) -> str:
@@ -144,7 +144,7 @@ def test_wrong_shares_are_one_line(done, tmp_path) -> None:
         open_sources(tmp_path)
 
 
-def test_what_is_read_is_what_was_written(done) -> None:
+def test_what_is_read_is_what_was_written(done: Path) -> None:
     stored = read_shares(done / "out")
     assert isinstance(stored, StoredShares) and all(isinstance(box, SharedBox) for box in stored.frames[0].boxes)
     assert {stored.condition(frame.condition) for frame in stored.frames} == {Condition(), Condition("fog", 3)}

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -21,7 +22,7 @@ DETECTOR = Detector(RECIPE.settings("student"))
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(tmp_path: Path):
     """Run folder without weights, of a training whose validation drives are there."""
     for drive in ("north", "south", "not of this training"):
         write_frame(tmp_path / "drives" / drive, replace(street_frame(0), index=0))
@@ -31,7 +32,7 @@ def run(tmp_path):
     return run
 
 
-def write_record(run, drives, validation=("south", "north")):
+def write_record(run, drives, validation=("south", "north")) -> None:
     record = {
         "settings": {"recipe": msgspec.to_builtins(RECIPE), "stage": "student"},
         "validation": dict.fromkeys(validation, "0" * 64) if validation else None,
@@ -40,7 +41,7 @@ def write_record(run, drives, validation=("south", "north")):
     (run / "settings.json").write_bytes(msgspec.json.encode(record))
 
 
-def write_checkpoint(run):
+def write_checkpoint(run) -> None:
     state = {f"detector.{name}": tensor for name, tensor in DETECTOR.state_dict().items()}
     torch.save({"state_dict": {**state, "other": torch.zeros(1)}}, run / "checkpoints" / "last.ckpt")
 
@@ -49,7 +50,7 @@ def weights(source):
     return source.sets[NEWEST].detector.state_dict()["encoder.linear.weight"]
 
 
-def test_a_running_training_shows_the_weights_of_its_last_checkpoint(run):
+def test_a_running_training_shows_the_weights_of_its_last_checkpoint(run) -> None:
     write_checkpoint(run)
     for path in (run, run.parent):
         sources = open_sources(path)
@@ -57,14 +58,14 @@ def test_a_running_training_shows_the_weights_of_its_last_checkpoint(run):
         assert all(torch.equal(weights(source), DETECTOR.encoder.linear.weight) for source in sources)
 
 
-def test_the_best_validated_weights_and_then_the_result_come_first(run):
+def test_the_best_validated_weights_and_then_the_result_come_first(run) -> None:
     write_checkpoint(run)
     save_detector(run / "checkpoints" / "best.pt", DETECTOR)
     (source, _) = open_sources(run)
     assert source.sets[NEWEST].detector.settings == DETECTOR.settings
 
 
-def test_a_training_of_a_version_before_opens(run):
+def test_a_training_of_a_version_before_opens(run) -> None:
     """The communication range was a setting of the recipe, and none of the model's."""
     record = json.loads((run / "settings.json").read_text())
     recipe = record["settings"]["recipe"]
@@ -78,7 +79,7 @@ def test_a_training_of_a_version_before_opens(run):
         open_sources(run)
 
 
-def test_drives_that_were_moved_are_found_in_the_folder_that_is_given(run, tmp_path):
+def test_drives_that_were_moved_are_found_in_the_folder_that_is_given(run, tmp_path: Path) -> None:
     write_checkpoint(run)
     write_record(run, tmp_path / "nowhere")
     with pytest.raises(DataError, match=r"nowhere: drives: expected north, found none; give the folder .+ by --drives"):
@@ -86,7 +87,7 @@ def test_drives_that_were_moved_are_found_in_the_folder_that_is_given(run, tmp_p
     assert len(open_sources(run, tmp_path / "drives")) == 2
 
 
-def test_what_is_missing_or_damaged_is_one_line(run, tmp_path):
+def test_what_is_missing_or_damaged_is_one_line(run, tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match=r"last.ckpt: file: expected a first checkpoint, found none so far"):
         open_sources(run)
     torch.save({"state_dict": {"detector.encoder.linear.weight": torch.zeros(3)}}, run / "checkpoints" / "last.ckpt")

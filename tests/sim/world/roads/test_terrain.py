@@ -16,7 +16,7 @@ WINDOW = (0.0, 0.0, 200.0, 100.0)
 
 
 @pytest.fixture(scope="module")
-def hills(tmp_path_factory):
+def hills(tmp_path_factory: pytest.TempPathFactory):
     scenario = hilly_scenario(tmp_path_factory.mktemp("hills"))
     net = read_network(resolve_network(scenario, 1))
     return net, read_streets(net, None, MARGIN_M), build_world(scenario, 1)
@@ -29,7 +29,7 @@ def slope(rise=0.1, bend=0.0):
     return land(WINDOW, [line], shapely.box(0.0, 46.0, 200.0, 54.0))
 
 
-def test_the_land_has_the_heights_of_a_lane_and_of_its_own_nodes():
+def test_the_land_has_the_heights_of_a_lane_and_of_its_own_nodes() -> None:
     terrain = slope(bend=0.001)
     x = np.random.default_rng(0).uniform(10.0, 190.0, 500)
     on_road = np.column_stack([x, np.random.default_rng(1).uniform(46.0, 54.0, 500)])
@@ -38,7 +38,7 @@ def test_the_land_has_the_heights_of_a_lane_and_of_its_own_nodes():
     np.testing.assert_allclose(terrain.height(terrain.nodes[:, :2]), terrain.nodes[:, 2], atol=1e-9)
 
 
-def test_the_land_reaches_beyond_the_window_and_keeps_the_height_of_its_rim():
+def test_the_land_reaches_beyond_the_window_and_keeps_the_height_of_its_rim() -> None:
     terrain = slope()
     low, high = terrain.nodes.min(axis=0), terrain.nodes.max(axis=0)
     np.testing.assert_allclose([low[:2], high[:2]], [[-BEYOND_M] * 2, [200.0 + BEYOND_M, 100.0 + BEYOND_M]])
@@ -46,7 +46,7 @@ def test_the_land_reaches_beyond_the_window_and_keeps_the_height_of_its_rim():
     np.testing.assert_allclose(terrain.height(beyond), terrain.height(rim))
 
 
-def test_the_triangles_of_the_land_look_up_and_leave_no_hole():
+def test_the_triangles_of_the_land_look_up_and_leave_no_hole() -> None:
     terrain = slope(bend=0.002)
     a, b, c = (terrain.nodes[terrain.faces[:, k], :2] for k in range(3))
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
@@ -54,7 +54,7 @@ def test_the_triangles_of_the_land_look_up_and_leave_no_hole():
     assert doubled.sum() / 2.0 == pytest.approx((200.0 + 2 * BEYOND_M) * (100.0 + 2 * BEYOND_M))
 
 
-def test_every_part_of_a_cut_shape_lies_on_one_triangle():
+def test_every_part_of_a_cut_shape_lies_on_one_triangle() -> None:
     terrain = slope(bend=0.002)
     shape = shapely.Point(80.0, 50.0).buffer(20.0) - shapely.box(70.0, 40.0, 75.0, 60.0)
     parts = terrain.cut(shape)
@@ -64,14 +64,14 @@ def test_every_part_of_a_cut_shape_lies_on_one_triangle():
     np.testing.assert_allclose(terrain.height(middle[:, :2]), middle[:, 2], atol=1e-6)
 
 
-def test_a_wide_land_has_a_bounded_number_of_nodes():
+def test_a_wide_land_has_a_bounded_number_of_nodes() -> None:
     window = (0.0, 0.0, 4000.0, 4000.0)
     line = np.array([[0.0, 0.0, 0.0], [4000.0, 4000.0, 90.0]])
     terrain = land(window, [line], shapely.box(*window))
     assert 30_000 < len(terrain.nodes) < 45_000
 
 
-def test_level_lanes_make_two_triangles():
+def test_level_lanes_make_two_triangles() -> None:
     line = np.array([[0.0, 50.0, 7.0], [200.0, 50.0, 7.02]])
     terrain, shape = land(WINDOW, [line], shapely.box(0.0, 46.0, 200.0, 54.0)), shapely.box(0, 0, 9, 9)
     assert terrain.flat and len(terrain.faces) == 2
@@ -79,7 +79,7 @@ def test_level_lanes_make_two_triangles():
     assert level_land(WINDOW, 7.0).height(np.array([[3.0, 9e9]])).tolist() == [7.0]
 
 
-def test_in_hilly_country_the_road_has_the_height_of_its_lanes(hills):
+def test_in_hilly_country_the_road_has_the_height_of_its_lanes(hills) -> None:
     net, _, mesh = hills
     points = lane_points(net)
     distance, face = look(mesh, points + np.array([0.0, 0.0, 4.0]), [0, 0, -1])
@@ -89,7 +89,7 @@ def test_in_hilly_country_the_road_has_the_height_of_its_lanes(hills):
     assert (np.quantile(np.abs(distance - 4.0), [0.5, 0.99, 0.995]) < [0.01, 0.06, 0.15]).all()
 
 
-def test_in_hilly_country_the_ground_lies_just_below_road_and_pavement(hills):
+def test_in_hilly_country_the_ground_lies_just_below_road_and_pavement(hills) -> None:
     _, streets, mesh = hills
     low_x, low_y, high_x, high_y = streets.window
     x, y = np.meshgrid(np.arange(low_x, high_x, 1.3), np.arange(low_y, high_y, 1.3))
@@ -108,7 +108,7 @@ def test_in_hilly_country_the_ground_lies_just_below_road_and_pavement(hills):
     assert np.quantile(gap, 0.99) < GROUND_BELOW_M + 0.012 and gap.max() < GROUND_BELOW_M + 0.22
 
 
-def test_in_hilly_country_paint_lies_on_the_road(hills):
+def test_in_hilly_country_paint_lies_on_the_road(hills) -> None:
     _, streets, mesh = hills
     paint = mesh.triangles[mesh.face_attributes["material"] == material_index("marking")]
     middle = paint.mean(axis=1)
@@ -116,6 +116,6 @@ def test_in_hilly_country_paint_lies_on_the_road(hills):
     np.testing.assert_allclose(middle[:, 2], streets.height(middle[:, :2]) + 0.01, atol=1e-6)
 
 
-def test_the_mesh_of_hilly_country_is_not_large(hills):
+def test_the_mesh_of_hilly_country_is_not_large(hills) -> None:
     _, streets, mesh = hills
     assert len(streets.terrain.faces) < 30_000 and len(mesh.faces) < 250_000

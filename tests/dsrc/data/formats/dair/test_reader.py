@@ -25,7 +25,9 @@ def root(tmp_path: Path) -> Path:
     return dair_tree.make(tmp_path / "download")
 
 
-def test_a_batch_is_a_drive_and_a_pair_without_its_cloud_is_reported(root: Path, caplog: pytest.LogCaptureFixture):
+def test_a_batch_is_a_drive_and_a_pair_without_its_cloud_is_reported(
+    root: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with caplog.at_level("WARNING"):
         readers = open_drives(root.parent)
     assert [reader.drive for reader in readers] == [root / "3", root / "12"]
@@ -34,7 +36,7 @@ def test_a_batch_is_a_drive_and_a_pair_without_its_cloud_is_reported(root: Path,
     assert "1 of 4 pairs are left out" in caplog.text
 
 
-def test_both_clouds_lie_in_the_boxes_of_the_world(root: Path):
+def test_both_clouds_lie_in_the_boxes_of_the_world(root: Path) -> None:
     """The chain of calibrations, the offset between the sides, and left and right are all as they should be."""
     for frame in (open_drive(root / "12").read(0), open_drive(root / "12").read(1), open_drive(root / "3").read(0)):
         stem = f"{frame.index:06d}"
@@ -49,7 +51,7 @@ def test_both_clouds_lie_in_the_boxes_of_the_world(root: Path):
         assert np.allclose(frame.agents[0].world_from_body, dair_tree.novatel_to_world(stem), atol=1e-6)
 
 
-def test_the_sides_keep_their_own_times(root: Path):
+def test_the_sides_keep_their_own_times(root: Path) -> None:
     first, second = (open_drive(root / "12").read(i) for i in (0, 1))
     assert (first.time_s, second.time_s) == pytest.approx((0.0, 0.1))
     assert first.agents[1].sweep.time_s == pytest.approx(-0.1)
@@ -58,7 +60,7 @@ def test_the_sides_keep_their_own_times(root: Path):
     assert [agent.kind for agent in first.agents] == ["vehicle", "roadside"]
 
 
-def test_velocities_are_known_only_for_labels_with_tracks(root: Path, tmp_path: Path):
+def test_velocities_are_known_only_for_labels_with_tracks(root: Path, tmp_path: Path) -> None:
     plain = open_drive(root / "12").read(0)
     assert plain.truth.object_id.tolist() == [1, 2, 3] and np.isnan(plain.velocity).all()
     tracked = open_drive(dair_tree.make(tmp_path / "tracked", tracks=True) / "12").read(0)
@@ -69,7 +71,7 @@ def test_velocities_are_known_only_for_labels_with_tracks(root: Path, tmp_path: 
     assert np.isnan(alone.velocity).all()  # there is no other frame in its batch
 
 
-def test_splits_and_original_labels_are_parts_of_the_path(root: Path):
+def test_splits_and_original_labels_are_parts_of_the_path(root: Path) -> None:
     assert list_drives(root / "val") == [root / "val" / "3", root / "val" / "12"]
     assert open_drive(root / "val" / "12").frames == (15345,)
     assert list_drives(root.parent / "train") == [root / "train" / "12"]
@@ -82,7 +84,7 @@ def test_splits_and_original_labels_are_parts_of_the_path(root: Path):
         list_drives(root / "test")
 
 
-def test_a_labelled_object_has_at_least_one_point(root: Path):
+def test_a_labelled_object_has_at_least_one_point(root: Path) -> None:
     path = root / "cooperative/label_world/015344.json"
     labels = json.loads(path.read_text())
     far = dair_tree.boxes("015344")[0] + [-60.0, -80.0, 0, 0, 0, 0, 0]
@@ -94,7 +96,7 @@ def test_a_labelled_object_has_at_least_one_point(root: Path):
     assert 4 in sample.boxes.object_id
 
 
-def test_the_vehicle_itself_is_known_by_where_its_lidar_stands(root: Path):
+def test_the_vehicle_itself_is_known_by_where_its_lidar_stands(root: Path) -> None:
     path = root / "cooperative/label_world/015344.json"
     labels = json.loads(path.read_text())
     lidar = open_drive(root / "12").read(0).agents[0].sweep.world_from_lidar[:3, 3]
@@ -109,7 +111,7 @@ def test_the_vehicle_itself_is_known_by_where_its_lidar_stands(root: Path):
     assert sample.boxes.object_id.tolist() == [1, 2, 3]
 
 
-def test_labels_whose_corners_go_round_the_other_way_are_the_same_boxes(root: Path):
+def test_labels_whose_corners_go_round_the_other_way_are_the_same_boxes(root: Path) -> None:
     before = open_drive(root / "12").read(0).truth.array
     path = root / "cooperative/label_world/015344.json"
     labels = json.loads(path.read_text())
@@ -120,7 +122,7 @@ def test_labels_whose_corners_go_round_the_other_way_are_the_same_boxes(root: Pa
     assert np.allclose(open_drive(root / "12").read(0).truth.array, before, atol=1e-9)
 
 
-def test_the_hash_sees_labels_poses_and_clouds(root: Path):
+def test_the_hash_sees_labels_poses_and_clouds(root: Path) -> None:
     before = open_drive(root / "12").digest()
     assert open_drive(root / "12").digest() == before != open_drive(root / "3").digest()
     for name in (
@@ -136,12 +138,12 @@ def test_the_hash_sees_labels_poses_and_clouds(root: Path):
     assert open_drive(root / "12").digest() == before
 
 
-def test_a_reader_travels_to_another_process(root: Path):
+def test_a_reader_travels_to_another_process(root: Path) -> None:
     reader = copy.copy(open_drive(root / "val" / "12"))  # as pickle does
     assert reader.frames == (15345,) and len(reader.read(0).truth) == 3
 
 
-def test_an_unknown_motion_of_the_sensor_is_named(root: Path):
+def test_an_unknown_motion_of_the_sensor_is_named(root: Path) -> None:
     assert open_drive(root / "12", "middle").read(0).agents[0].sweep.motion == "middle"
     with pytest.raises(DataError, match=r"015344.pcd: cannot be read as 'raw': sweep: path: "):
         open_drive(root / "12", "raw").read(0)
@@ -212,7 +214,9 @@ PAIRS = "cooperative/data_info.json"
         ),
     ],
 )
-def test_a_broken_tree_gets_one_line_that_names_file_and_field(root: Path, break_it: Callable, file: str, message: str):
+def test_a_broken_tree_gets_one_line_that_names_file_and_field(
+    root: Path, break_it: Callable, file: str, message: str
+) -> None:
     break_it(root)
     with pytest.raises(DataError) as caught:
         open_drive(root / "12").read(0)
@@ -221,7 +225,7 @@ def test_a_broken_tree_gets_one_line_that_names_file_and_field(root: Path, break
 
 
 @pytest.mark.parametrize("missing", ["label", "cloud", "vehicle", "infrastructure"])
-def test_an_incomplete_pair_is_left_out(root: Path, missing: str, caplog: pytest.LogCaptureFixture):
+def test_an_incomplete_pair_is_left_out(root: Path, missing: str, caplog: pytest.LogCaptureFixture) -> None:
     """The published list has pairs that were held back, some without any other trace."""
     if missing == "label":
         (root / LABEL).unlink()
@@ -234,12 +238,12 @@ def test_an_incomplete_pair_is_left_out(root: Path, missing: str, caplog: pytest
     assert "2 of 4 pairs are left out" in caplog.text
 
 
-def test_a_tree_may_have_another_name(root: Path):
+def test_a_tree_may_have_another_name(root: Path) -> None:
     tree = root.rename(root.with_name("dair"))
     assert list_drives(tree) == [tree / "3", tree / "12"] == list_drives(tree.parent)
 
 
-def test_a_tree_without_a_complete_pair_is_named(root: Path):
+def test_a_tree_without_a_complete_pair_is_named(root: Path) -> None:
     for cloud in root.parent.glob("*-velodyne/*.pcd"):
         cloud.unlink()
     with pytest.raises(DataError, match="pairs: expected at least one whose clouds, label and entries are there"):
@@ -255,7 +259,7 @@ def ours(tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
-def test_our_frames_come_back_from_a_tree_of_ours(ours: Path):
+def test_our_frames_come_back_from_a_tree_of_ours(ours: Path) -> None:
     (reader,) = open_drives(ours)
     assert reader.agents == (1000, -1) and reader.frames == (0, 1, 2)
     frame, before = reader.read(1), toy_frame(1)
@@ -276,13 +280,13 @@ def test_our_frames_come_back_from_a_tree_of_ours(ours: Path):
     assert np.array_equal(frame.agents[0].sweep.points, before.agents[0].sweep.points)
 
 
-def test_the_infrastructures_frame_is_level_as_a_virtual_lidars(ours: Path):
+def test_the_infrastructures_frame_is_level_as_a_virtual_lidars(ours: Path) -> None:
     sweep = open_drives(ours)[0].read(0).agents[1].sweep
     assert np.allclose(sweep.world_from_lidar[2], [0, 0, 1, sweep.world_from_lidar[2, 3]], atol=1e-9)
     assert not np.allclose(toy_frame(0).agents[2].sweep.world_from_lidar[2, :3], [0, 0, 1], atol=0.01)
 
 
-def test_a_tree_has_the_folders_that_loaders_ask_for(ours: Path):
+def test_a_tree_has_the_folders_that_loaders_ask_for(ours: Path) -> None:
     root = ours / "cooperative-vehicle-infrastructure"
     for name in (
         "vehicle-side/velodyne/000002.pcd",
@@ -310,7 +314,7 @@ def test_a_tree_has_the_folders_that_loaders_ask_for(ours: Path):
     assert truck["3d_dimensions"] == {"h": 3.0, "w": 2.5, "l": 9.0}
 
 
-def test_labels_say_how_much_the_better_placed_side_sees(ours: Path):
+def test_labels_say_how_much_the_better_placed_side_sees(ours: Path) -> None:
     root = ours / "cooperative-vehicle-infrastructure"
     frame = toy_frame(1)
     around = {e["track_id"]: e for e in json.loads((root / "cooperative/label_world/000001.json").read_text())}
@@ -321,7 +325,7 @@ def test_labels_say_how_much_the_better_placed_side_sees(ours: Path):
     assert {entry["occluded_state"] for entry in around.values()} > {0}
 
 
-def test_a_frame_of_one_agent_has_no_two_sides(tmp_path: Path):
+def test_a_frame_of_one_agent_has_no_two_sides(tmp_path: Path) -> None:
     write_frame(tmp_path / "data" / "toy", toy_frame(0).of_agents([0]))
     with pytest.raises(DataError, match=r"toy: frame 0: agents: expected two, one for each side of DAIR-V2X-C"):
         convert(tmp_path / "data", tmp_path / "out", "dair")
@@ -329,7 +333,7 @@ def test_a_frame_of_one_agent_has_no_two_sides(tmp_path: Path):
         convert(tmp_path / "data", tmp_path / "other", "dair", agent_id="7")
 
 
-def test_two_vehicles_are_two_sides(tmp_path: Path):
+def test_two_vehicles_are_two_sides(tmp_path: Path) -> None:
     write_frame(tmp_path / "data" / "toy", toy_frame(0).of_agents([0, 1]))
     convert(tmp_path / "data", tmp_path / "out", "dair", agent_id="1002")
     (reader,) = open_drives(tmp_path / "out")
@@ -337,6 +341,6 @@ def test_two_vehicles_are_two_sides(tmp_path: Path):
     assert [agent.kind for agent in reader.read(0).agents] == ["vehicle", "vehicle"]
 
 
-def test_dair_reader_needs_a_batch(root: Path):
+def test_dair_reader_needs_a_batch(root: Path) -> None:
     with pytest.raises(DataError, match="expected a batch of a DAIR-V2X-C tree"):
         DairReader(root)

@@ -50,14 +50,14 @@ def strip(drive: Path) -> None:
         path.write_text(path.read_text().partition("\n")[2])
 
 
-def test_a_frame_reads_back_equal_to_what_was_written(drive: Path):
+def test_a_frame_reads_back_equal_to_what_was_written(drive: Path) -> None:
     reader = DriveReader(drive)
     assert reader.frames == (0, 1) and len(reader) == 2
     assert same_frames(reader.read(1), toy_frame(1))
     assert same_frames(DriveReader(drive).read(0), toy_frame(0))
 
 
-def test_frames_without_objects_agents_points_or_spec_are_legal(tmp_path: Path):
+def test_frames_without_objects_agents_points_or_spec_are_legal(tmp_path: Path) -> None:
     full = toy_frame(7)
     empty = replace(full.agents[0], sweep=replace(full.agents[0].sweep[:0], spec=None))
     frame = Frame(7, 0.7, (empty,), Boxes.zeros(), np.zeros((0, 2)), np.zeros((1, 0), np.int32))
@@ -65,7 +65,7 @@ def test_frames_without_objects_agents_points_or_spec_are_legal(tmp_path: Path):
     assert same_frames(DriveReader(tmp_path / "d").read(0), frame)
 
 
-def test_old_trees_have_unknown_lanes_and_visible_fractions(drive: Path):
+def test_old_trees_have_unknown_lanes_and_visible_fractions(drive: Path) -> None:
     wanted = ("acceleration", "signals", "lane", "visible_fraction")
     for path in drive.glob("*/*.yaml"):
         line, _, rest = path.read_text().partition("\n")
@@ -78,7 +78,7 @@ def test_old_trees_have_unknown_lanes_and_visible_fractions(drive: Path):
     assert frame.lane == ("",) * 6 and not frame.signals.any()
 
 
-def test_a_box_that_is_no_number_is_never_written(tmp_path: Path):
+def test_a_box_that_is_no_number_is_never_written(tmp_path: Path) -> None:
     frame = toy_frame(0)
     frame.truth.center[1, 2] = math.nan
     with pytest.raises(ValueError, match="frame 0: a box, velocity or pose is not finite"):
@@ -86,7 +86,7 @@ def test_a_box_that_is_no_number_is_never_written(tmp_path: Path):
     assert not list(tmp_path.rglob("*.pcd"))
 
 
-def test_the_yaml_says_in_carlas_words_what_the_frame_holds(drive: Path):
+def test_the_yaml_says_in_carlas_words_what_the_frame_holds(drive: Path) -> None:
     frame, notes = toy_frame(1), plain(drive / "1000" / "000001.yaml")
     agent = frame.agents[0]
     assert notes["ego_speed"] == pytest.approx(7.25 * 3.6)
@@ -101,14 +101,14 @@ def test_the_yaml_says_in_carlas_words_what_the_frame_holds(drive: Path):
     assert truck["speed"] == pytest.approx(3.6 * np.hypot(*frame.velocity[row]))
 
 
-def test_vehicles_are_those_the_agent_has_a_point_on_without_itself(drive: Path):
+def test_vehicles_are_those_the_agent_has_a_point_on_without_itself(drive: Path) -> None:
     listed = {agent: set(plain(drive / agent / "000000.yaml")["vehicles"]) for agent in ("1000", "1002", "-1")}
     assert listed["1000"] == {1001, 1002, 1004}  # not the pedestrian, not the car 1 km away
     assert listed["1002"] == {1000, 1001}  # no point on the bus
     assert listed["-1"] == {1000, 1001, 1002, 1004}
 
 
-def test_connected_vehicles_can_be_left_out(tmp_path: Path):
+def test_connected_vehicles_can_be_left_out(tmp_path: Path) -> None:
     write_frame(tmp_path / "d", toy_frame(0), connected_vehicles=False)
     assert set(plain(tmp_path / "d" / "-1" / "000000.yaml")["vehicles"]) == {1001, 1004}
     assert same_frames(DriveReader(tmp_path / "d").read(0), toy_frame(0))
@@ -116,7 +116,7 @@ def test_connected_vehicles_can_be_left_out(tmp_path: Path):
 
 @pytest.mark.parametrize("written", MOTIONS)
 @pytest.mark.parametrize("wanted", MOTIONS)
-def test_a_drive_written_in_one_motion_reads_in_any_other(tmp_path: Path, written: Motion, wanted: Motion):
+def test_a_drive_written_in_one_motion_reads_in_any_other(tmp_path: Path, written: Motion, wanted: Motion) -> None:
     write_frame(tmp_path / "d", toy_frame(1), motion=written)
     assert DriveReader(tmp_path / "d").read(0).agents[0].sweep.motion == written
     frame, expected = DriveReader(tmp_path / "d", wanted).read(0), deskew_frame(toy_frame(1), wanted)
@@ -128,7 +128,7 @@ def test_a_drive_written_in_one_motion_reads_in_any_other(tmp_path: Path, writte
     assert np.array_equal(frame.truth.array, toy_frame(1).truth.array) and frame.time_s == toy_frame(1).time_s
 
 
-def test_a_frame_keeps_the_paths_of_its_sensors_and_their_motion(tmp_path: Path):
+def test_a_frame_keeps_the_paths_of_its_sensors_and_their_motion(tmp_path: Path) -> None:
     frame = deskew_frame(toy_frame(2), "raw")
     write_frame(tmp_path / "d", frame)
     assert same_frames(DriveReader(tmp_path / "d").read(0), frame)
@@ -136,7 +136,7 @@ def test_a_frame_keeps_the_paths_of_its_sensors_and_their_motion(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("motion", "after"), [("start", -0.05), ("middle", 0.0), ("end", 0.05), ("raw", 0.0)])
-def test_lidar_pose_is_the_frame_of_the_points(tmp_path: Path, motion: Motion, after: float):
+def test_lidar_pose_is_the_frame_of_the_points(tmp_path: Path, motion: Motion, after: float) -> None:
     sweep = toy_frame(1).agents[0].sweep
     write_frame(tmp_path / "d", toy_frame(1), motion=motion)
     pose = matrix_from_carla(plain(tmp_path / "d" / "1000" / "000001.yaml")["lidar_pose"])
@@ -161,7 +161,7 @@ def age(drive: Path) -> None:
 
 @pytest.mark.parametrize("older", [age, strip])
 @pytest.mark.parametrize("motion", ["start", "end", "raw"])
-def test_a_drive_without_paths_reads_as_it_is_and_not_otherwise(drive: Path, older: Callable, motion: Motion):
+def test_a_drive_without_paths_reads_as_it_is_and_not_otherwise(drive: Path, older: Callable, motion: Motion) -> None:
     older(drive)
     plainly, middle = DriveReader(drive).read(0), DriveReader(drive, "middle").read(0)
     assert plainly.agents[0].sweep.path is None and plainly.agents[0].sweep.motion == "middle"
@@ -172,12 +172,12 @@ def test_a_drive_without_paths_reads_as_it_is_and_not_otherwise(drive: Path, old
     assert "\n" not in str(caught.value)
 
 
-def test_a_motion_with_a_typo_is_named_before_anything_is_read(drive: Path):
+def test_a_motion_with_a_typo_is_named_before_anything_is_read(drive: Path) -> None:
     with pytest.raises(SettingsError, match="did you mean 'raw'"):
         DriveReader(drive, "row")  # type: ignore[arg-type]
 
 
-def test_a_sweep_without_a_path_cannot_be_written_in_another_motion(tmp_path: Path):
+def test_a_sweep_without_a_path_cannot_be_written_in_another_motion(tmp_path: Path) -> None:
     frame = toy_frame(0)
     frame = frame.with_sweeps([replace(agent.sweep, path=None) for agent in frame.agents])
     with pytest.raises(DataError, match="frame 0: agent 1000: sweep: path"):
@@ -193,7 +193,7 @@ def test_a_sweep_without_a_path_cannot_be_written_in_another_motion(tmp_path: Pa
         ([[0.0] * 6, [0.1] * 6], "testbed: damaged record"),
     ],
 )
-def test_a_path_that_is_none_gets_one_line(drive: Path, path: list, message: str):
+def test_a_path_that_is_none_gets_one_line(drive: Path, path: list, message: str) -> None:
     notes = drive / "1000" / "000000.yaml"
     record, rest = record_of(notes)
     notes.write_text(f"testbed: '{json.dumps({**record, 'path': path})}'\n{rest}")
@@ -202,7 +202,7 @@ def test_a_path_that_is_none_gets_one_line(drive: Path, path: list, message: str
     assert f"{notes}: {message}" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_drive_without_our_record_reads_as_plain_opv2v(drive: Path):
+def test_a_drive_without_our_record_reads_as_plain_opv2v(drive: Path) -> None:
     strip(drive)
     frame, truth = DriveReader(drive).read(0), toy_frame(0).truth
     seen = truth[[0, 1, 2, 4]]
@@ -215,7 +215,7 @@ def test_a_drive_without_our_record_reads_as_plain_opv2v(drive: Path):
     assert [a.kind for a in frame.agents] == ["vehicle", "vehicle", "roadside"]
 
 
-def test_carla_boxes_match_the_reference():
+def test_carla_boxes_match_the_reference() -> None:
     golden = goldens.load("coords")
     for case in ("case0", "case1", "case2"):
         get = {k: golden[f"{case}/{k}"] for k in ("ids", "location", "center", "angle", "extent", "lidar_pose")}
@@ -225,7 +225,7 @@ def test_carla_boxes_match_the_reference():
         assert goldens.apart(boxes.array, want).max() < 1e-6
 
 
-def test_the_golden_tree_reads_as_the_reference_reads_it(mini: Path):
+def test_the_golden_tree_reads_as_the_reference_reads_it(mini: Path) -> None:
     expected = goldens.load("opv2v_mini_expected")
     drives = list_drives(mini)
     assert [d.name for d in drives] == ["2021_01_01_a", "2021_01_02_b_far"]
@@ -243,7 +243,7 @@ def test_the_golden_tree_reads_as_the_reference_reads_it(mini: Path):
     assert reader.read(1).time_s - reader.read(0).time_s == pytest.approx(0.1)
 
 
-def test_drives_are_found_at_and_below_a_folder(mini: Path, tmp_path: Path):
+def test_drives_are_found_at_and_below_a_folder(mini: Path, tmp_path: Path) -> None:
     assert list_drives(mini.parent) == list_drives(mini)
     assert list_drives(mini / "2021_01_01_a") == [mini / "2021_01_01_a"]
     with pytest.raises(DataError, match="expected an OPV2V tree"):
@@ -252,7 +252,7 @@ def test_drives_are_found_at_and_below_a_folder(mini: Path, tmp_path: Path):
         list_drives(tmp_path / "nowhere")
 
 
-def test_the_hash_sees_an_edited_annotation_and_no_location(drive: Path, tmp_path: Path):
+def test_the_hash_sees_an_edited_annotation_and_no_location(drive: Path, tmp_path: Path) -> None:
     before = DriveReader(drive).digest()
     copy = shutil.copytree(drive, tmp_path / "elsewhere" / "drive")
     assert DriveReader(copy).digest() == before
@@ -261,7 +261,9 @@ def test_the_hash_sees_an_edited_annotation_and_no_location(drive: Path, tmp_pat
     assert DriveReader(drive).digest() != before
 
 
-def test_the_hash_sees_clouds_that_were_changed_in_place(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_hash_sees_clouds_that_were_changed_in_place(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def dim(path: Path) -> bytes:
         before = path.read_bytes()
         path.write_bytes(before[:-40] + bytes(40))
@@ -314,7 +316,7 @@ def damage(path: Path, pattern: str, replacement: str) -> None:
     ],
 )
 @pytest.mark.parametrize("foreign", [False, True])
-def test_a_broken_yaml_gets_one_line(drive: Path, pattern: str, replacement: str, message: str, foreign: bool):
+def test_a_broken_yaml_gets_one_line(drive: Path, pattern: str, replacement: str, message: str, foreign: bool) -> None:
     if foreign:
         strip(drive)
     path = drive / "1000" / "000000.yaml"
@@ -324,7 +326,7 @@ def test_a_broken_yaml_gets_one_line(drive: Path, pattern: str, replacement: str
     assert str(path) in str(caught.value) and message in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_an_edited_or_damaged_record_is_not_believed(drive: Path):
+def test_an_edited_or_damaged_record_is_not_believed(drive: Path) -> None:
     path = drive / "1000" / "000000.yaml"
     text = path.read_text()
     damage(path, r"speed: \d", "speed: 9")
@@ -345,7 +347,7 @@ def test_an_edited_or_damaged_record_is_not_believed(drive: Path):
     ("field", "change"),
     [("points_on", 2**40), ("points_on", -1), ("object_id", 10**30), ("box", [0, 0, 0, -4, 2, 1.5, 0])],
 )
-def test_a_record_with_an_impossible_number_gets_one_line(drive: Path, field: str, change: object):
+def test_a_record_with_an_impossible_number_gets_one_line(drive: Path, field: str, change: object) -> None:
     path = drive / "1000" / "000000.yaml"
     record, rest = record_of(path)
     record[field][0] = change
@@ -356,13 +358,13 @@ def test_a_record_with_an_impossible_number_gets_one_line(drive: Path, field: st
 
 
 @pytest.mark.parametrize("agents", [None, 5, ["a"], {"a": {}}])
-def test_a_protocol_with_impossible_agents_is_named(drive: Path, agents: object):
+def test_a_protocol_with_impossible_agents_is_named(drive: Path, agents: object) -> None:
     (drive / "data_protocol.yaml").write_text(yaml.safe_dump({"testbed": {"agents": agents}}))
     with pytest.raises(DataError, match=r"data_protocol.yaml: testbed.agents"):
         DriveReader(drive)
 
 
-def test_frames_are_in_the_order_of_their_numbers(drive: Path):
+def test_frames_are_in_the_order_of_their_numbers(drive: Path) -> None:
     strip(drive)
     for old, new in (("000000", "2"), ("000001", "10")):
         for path in drive.glob(f"*/{old}.*"):
@@ -370,7 +372,7 @@ def test_frames_are_in_the_order_of_their_numbers(drive: Path):
     assert DriveReader(drive).frames == (2, 10)
 
 
-def test_an_ego_without_frames_and_an_id_with_zeros_before_it_are_named(drive: Path):
+def test_an_ego_without_frames_and_an_id_with_zeros_before_it_are_named(drive: Path) -> None:
     strip(drive)
     (drive / "1002").rename(drive / "01002")
     with pytest.raises(DataError, match=r"drive: agent folders: expected ids without leading zeros, found 01002"):
@@ -382,7 +384,7 @@ def test_an_ego_without_frames_and_an_id_with_zeros_before_it_are_named(drive: P
         DriveReader(drive)
 
 
-def test_missing_parts_of_a_drive_are_named(drive: Path):
+def test_missing_parts_of_a_drive_are_named(drive: Path) -> None:
     write_protocol(drive, {"testbed": {"frames": 3, "agents": {1000: {}, 1002: {}, -1: {}}}})
     with pytest.raises(DataError, match=r"frames: expected 3 as in data_protocol.yaml, found 2; run dsrc generate"):
         DriveReader(drive)

@@ -39,7 +39,7 @@ def cells(app, connect_browser, fake_fog):
     return left, right
 
 
-def test_what_is_compared_is_methods_then_sweeps(model):
+def test_what_is_compared_is_methods_then_sweeps(model: ReviewModel) -> None:
     state = ReviewState(frame=3)
     assert [one.methods for one in cells_of(model, state)] == [("detector",), ("blind",)]
     both = replace(state, methods=("blind", "detector"))
@@ -52,7 +52,7 @@ def test_what_is_compared_is_methods_then_sweeps(model):
     assert [one.corruption for one in cells_of(model, state, "rain")] == ["clean", "rain"]
 
 
-def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells):
+def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells) -> None:
     left, right = (cell.session for cell in cells)
     left.update(frame=7, threshold=0.6, object_id=1003, methods=("blind",))
     wait_for(lambda: (right.state.frame, right.state.threshold, right.state.object_id) == (7, 0.6, 1003))
@@ -61,7 +61,7 @@ def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells):
     wait_for(lambda: left.state.frame == 5)
 
 
-def arrive(*cells):
+def arrive(*cells) -> None:
     """Report the poses that the browsers were given, until none is on its way."""
 
     def reported():
@@ -75,7 +75,7 @@ def arrive(*cells):
     wait_for(reported)
 
 
-def test_a_camera_moves_the_other_and_no_echo_comes_back(cells):
+def test_a_camera_moves_the_other_and_no_echo_comes_back(cells) -> None:
     left, right = cells
     arrive(left, right)
     left.look_from((5.0, 6.0, 7.0), (1.0, 2.0, 0.0))
@@ -89,7 +89,7 @@ def test_a_camera_moves_the_other_and_no_echo_comes_back(cells):
     wait_for(lambda: np.allclose(pose(left), [0.0, 6.0, 9.0]))
 
 
-def test_where_a_browser_looked_before_it_was_placed_moves_no_other(cells):
+def test_where_a_browser_looked_before_it_was_placed_moves_no_other(cells) -> None:
     left, right = cells
     arrive(left, right)
     left.session.place_camera("chase")
@@ -102,7 +102,7 @@ def test_where_a_browser_looked_before_it_was_placed_moves_no_other(cells):
     np.testing.assert_allclose(pose(right), placed)
 
 
-def test_playing_takes_the_other_along(cells):
+def test_playing_takes_the_other_along(cells) -> None:
     left, right = (cell.session for cell in cells)
     left.update(speed=4.0)
     left.toggle_play()
@@ -111,14 +111,14 @@ def test_playing_takes_the_other_along(cells):
     wait_for(lambda: right.state.frame == left.state.frame)
 
 
-def test_pages_of_their_own_and_other_pairs_stay(app, cells, connect_browser):
+def test_pages_of_their_own_and_other_pairs_stay(app, cells, connect_browser) -> None:
     alone, other = connect_browser(app), connect_browser(app, "pair=b")
     cells[0].session.update(frame=4)
     wait_for(lambda: cells[1].session.state.frame == 4)
     assert (alone.session.state.frame, other.session.state.frame) == (0, 0)
 
 
-def test_a_cell_that_is_closed_leaves_its_pair(app, cells):
+def test_a_cell_that_is_closed_leaves_its_pair(app, cells) -> None:
     left, right = cells
     right.close()
     wait_for(lambda: len(app.sessions) == 1)
@@ -127,7 +127,7 @@ def test_a_cell_that_is_closed_leaves_its_pair(app, cells):
     assert left.session.wait_drawn().index == 2
 
 
-def test_a_key_opens_the_cells_and_another_press_leaves_them(session, cells, monkeypatch):
+def test_a_key_opens_the_cells_and_another_press_leaves_them(session, cells, monkeypatch: pytest.MonkeyPatch) -> None:
     opened = []
     for one in (session, cells[1].session):
         monkeypatch.setattr(one.client.local_storage, "set_item", lambda key, value: opened.append((key, value)))
@@ -140,12 +140,12 @@ def test_a_key_opens_the_cells_and_another_press_leaves_them(session, cells, mon
     assert "corruption" not in address.split("&right=")[0] and back.startswith("/?corruption=fog")
 
 
-def test_the_page_of_the_cells_is_served(app):
+def test_the_page_of_the_cells_is_served(app) -> None:
     with urllib.request.urlopen(app.url + compare_address("frame=1", "frame=1&corruption=fog"), timeout=10) as answer:
         assert answer.status == 200 and b"side by side" in answer.read()
 
 
-def test_a_way_back_is_followed_too(cells):
+def test_a_way_back_is_followed_too(cells) -> None:
     left, right = (cell.session for cell in cells)
     for frame in (1, 0, 1):
         right.update(frame=frame)
@@ -159,7 +159,7 @@ def test_a_way_back_is_followed_too(cells):
         right.wait_drawn()
 
 
-def test_what_is_broken_in_one_cell_is_no_list_of_the_other(cells):
+def test_what_is_broken_in_one_cell_is_no_list_of_the_other(cells) -> None:
     left, right = (cell.session for cell in cells)
     right.update(listed="broken", error_class="truck")
     wait_for(lambda: left.state.error_class == "truck")
@@ -170,11 +170,11 @@ def test_what_is_broken_in_one_cell_is_no_list_of_the_other(cells):
 class DrawnAtOnce:
     """Cell that tells its pair of each state."""
 
-    def __init__(self, pair, **changes):
+    def __init__(self, pair, **changes) -> None:
         self.state, self.pair, self.looks = ReviewState(**changes), pair, 0
         pair.add(self)
 
-    def update(self, **changes):
+    def update(self, **changes) -> None:
         self.looks += 1
         state = replace(self.state, **changes)
         if state != self.state:
@@ -182,7 +182,7 @@ class DrawnAtOnce:
             self.pair.state_changed(self, state)
 
 
-def test_a_cell_that_is_only_drawn_again_moves_no_other():
+def test_a_cell_that_is_only_drawn_again_moves_no_other() -> None:
     pair = Pair()
     left, right = DrawnAtOnce(pair), DrawnAtOnce(pair, corruption="fog")
     right.update(frame=1)
@@ -193,12 +193,12 @@ def test_a_cell_that_is_only_drawn_again_moves_no_other():
     assert (left.state.frame, right.state.frame) == (0, 0)
 
 
-def test_a_state_that_was_given_and_is_drawn_late_is_no_users():
+def test_a_state_that_was_given_and_is_drawn_late_is_no_users() -> None:
     class Late:
-        def __init__(self):
+        def __init__(self) -> None:
             self.state = ReviewState()
 
-        def update(self, **changes):
+        def update(self, **changes) -> None:
             self.state = replace(self.state, **changes)
 
     pair, ahead, late = Pair(), Late(), Late()
@@ -216,12 +216,12 @@ def test_a_state_that_was_given_and_is_drawn_late_is_no_users():
     assert ahead.state.frame == 2, "the user's own way back"
 
 
-def test_a_cell_takes_what_a_later_one_lacks():
+def test_a_cell_takes_what_a_later_one_lacks() -> None:
     class Cell:
-        def __init__(self, **changes):
+        def __init__(self, **changes) -> None:
             self.state = ReviewState(**changes)
 
-        def update(self, **changes):
+        def update(self, **changes) -> None:
             self.state = replace(self.state, **changes)
 
     pair, first, late = Pair(), Cell(frame=9, corruption="fog"), Cell(corruption="rain")
@@ -233,7 +233,7 @@ def test_a_cell_takes_what_a_later_one_lacks():
     assert first.state.frame == 12, "an echo does not set it back"
 
 
-def test_all_methods_lie_over_each_other_at_a_key(session):
+def test_all_methods_lie_over_each_other_at_a_key(session) -> None:
     RUN["Methods over each other"](session)
     assert session.state.methods == ("detector", "blind")
     RUN["Methods over each other"](session)

@@ -2,6 +2,7 @@ import base64
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -31,11 +32,11 @@ def recording(html: str) -> dict:
 
 
 @pytest.fixture
-def page(model, tmp_path):
+def page(model, tmp_path: Path):
     return export_states(model, [ReviewState(frame=i, max_points=500) for i in range(4)], tmp_path / "a" / "page.html")
 
 
-def test_an_exported_page_plays_all_frames_with_named_nodes(page):
+def test_an_exported_page_plays_all_frames_with_named_nodes(page) -> None:
     recorded = recording(page.read_text())
     assert recorded["durationSeconds"] == pytest.approx(0.4)
     names = {m[1].get("name") for m in recorded["messages"]}
@@ -45,7 +46,7 @@ def test_an_exported_page_plays_all_frames_with_named_nodes(page):
     assert len(times) == 4
 
 
-def test_an_exported_page_needs_nothing_else(page):
+def test_an_exported_page_needs_nothing_else(page) -> None:
     html = page.read_text()
     # Whatever is loaded would stand in an element's src or href, or in a style's url().
     assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)=[\"']?(?:https?:)?//", html)
@@ -54,7 +55,7 @@ def test_an_exported_page_needs_nothing_else(page):
     assert 0.5e6 < page.stat().st_size < 4e6
 
 
-def test_the_legend_holds_the_counts_of_every_frame(page, model):
+def test_the_legend_holds_the_counts_of_every_frame(page, model) -> None:
     data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", page.read_text())[1])
     assert len(data["frames"]) == 4
     counts = model.view(ReviewState(frame=2)).counts
@@ -81,7 +82,9 @@ class Finds:
         return Detections(Boxes.from_array([[12.0, 2.0, -1.0, 4.0, 2.0, 1.5, 0.3]]), np.array([0.9], np.float32))
 
 
-def test_detections_without_labels_are_called_so_and_counted(drive, tmp_path, monkeypatch):
+def test_detections_without_labels_are_called_so_and_counted(
+    drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     read = type(drive).read
     monkeypatch.setattr(type(drive), "read", lambda self, i: without_labels(read(self, i)))
     html = export_states(ReviewModel([drive], Finds()), [ReviewState()], tmp_path / "page.html").read_text()
@@ -90,7 +93,7 @@ def test_detections_without_labels_are_called_so_and_counted(drive, tmp_path, mo
     assert not any(word in html for word in ("ground truth", "false positive", "IoU ≥"))
 
 
-def test_boxes_by_who_helped_are_explained_and_counted(drive, tmp_path):
+def test_boxes_by_who_helped_are_explained_and_counted(drive, tmp_path: Path) -> None:
     model = ReviewModel([SharedSource(drive, shared_street())], FakeDetector())
     html = export_states(model, [ReviewState()], tmp_path / "page.html").read_text()
     counts = json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])["frames"][0]
@@ -100,7 +103,7 @@ def test_boxes_by_who_helped_are_explained_and_counted(drive, tmp_path):
     assert "false positive" in judged and "red cross" not in judged
 
 
-def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model, tmp_path):
+def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model, tmp_path: Path) -> None:
     words = {"fate": ("made by the corruption", "lost to the corruption"), "height": ("above the road", "8 m"),
              "intensity": ("¼ intensity",), "ring": ("top ring", "lowest"), "agent": ()}  # fmt: skip
     for color_by in words:
@@ -109,19 +112,19 @@ def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model
             assert all((text in html) is (other == color_by) for text in texts), color_by
 
 
-def test_a_drives_name_cannot_break_the_page(truth_model, tmp_path):
+def test_a_drives_name_cannot_break_the_page(truth_model, tmp_path: Path) -> None:
     truth_model.names[0] = "</script><script>alert(1)</script>"
     html = export_states(truth_model, [ReviewState()], tmp_path / "page.html").read_text()
     assert "alert(1)</script>" not in html
 
 
-def test_the_ego_stays_where_it_starts(page):
+def test_the_ego_stays_where_it_starts(page) -> None:
     recorded = recording(page.read_text())
     moves = [m[1]["position"] for m in recorded["messages"] if m[1].get("name") == "/drive" and "position" in m[1]]
     assert np.asarray(moves[-1]) == pytest.approx([-6.0, 0.0, 0.0])
 
 
-def test_export_takes_a_folder_and_a_slice(tmp_path, frame):
+def test_export_takes_a_folder_and_a_slice(tmp_path: Path, frame) -> None:
     for index in range(3):
         write_frame(tmp_path / "data" / "drive", replace(frame, index=index, time_s=0.1 * index))
     page = export_html(tmp_path / "data", tmp_path / "page.html", frames=slice(1, 3), max_points=300)
@@ -138,7 +141,7 @@ def test_export_takes_a_folder_and_a_slice(tmp_path, frame):
     assert not (tmp_path / "other.html").exists()
 
 
-def test_a_picture_of_nothing_is_one_line(tmp_path, monkeypatch):
+def test_a_picture_of_nothing_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DataError, match="no such page"):
         screenshot(tmp_path / "none.html", tmp_path / "none.png")
     (tmp_path / "some.html").write_text("<p>")
@@ -157,7 +160,7 @@ def near(image: np.ndarray, rgb: palette.Rgb) -> int:
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path):
+def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path: Path) -> None:
     from matplotlib.image import imread
 
     picture = screenshot(page, tmp_path / "page.png", (640, 400), settle_s=3.0)
@@ -168,7 +171,7 @@ def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path):
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_a_picture_shows_the_first_frame_and_no_other(page):
+def test_a_picture_shows_the_first_frame_and_no_other(page) -> None:
     with open_page(f"{page.resolve().as_uri()}?fixedDpr=1", (640, 400)) as opened:
         opened.wait_for("document.querySelector('[role=slider]')", 60.0)
         opened.evaluate("new Promise(done=>setTimeout(done,500))")
@@ -180,7 +183,7 @@ def test_a_picture_shows_the_first_frame_and_no_other(page):
         np.testing.assert_allclose(moved, 0.0, atol=1e-5, err_msg="the world is where the last frame has left it")
 
 
-def test_pictures_leave_no_browser_behind(tmp_path, monkeypatch):
+def test_pictures_leave_no_browser_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # A browser that ends at once must be an error and not a wait of a minute.
     fake = tmp_path / "chromium"
     fake.write_text("#!/bin/sh\nexit 3\n")

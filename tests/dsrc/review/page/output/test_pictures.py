@@ -1,5 +1,7 @@
 """Pictures and animations of a view."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -21,14 +23,14 @@ def squares(count):
         yield image
 
 
-def test_a_picture_is_written_as_it_is_and_may_be_written_again(tmp_path):
+def test_a_picture_is_written_as_it_is_and_may_be_written_again(tmp_path: Path) -> None:
     (image,) = squares(1)
     out = write_picture(image, tmp_path / "view.png")
     np.testing.assert_array_equal(np.asarray(Image.open(out)), image)
     check_output(out, "picture")
 
 
-def test_an_animation_has_every_picture_at_its_pace(tmp_path):
+def test_an_animation_has_every_picture_at_its_pace(tmp_path: Path) -> None:
     out = write_animation(squares(5), tmp_path / "view.gif", 0.1)
     check_output(out, "animation")
     with Image.open(out) as gif:
@@ -40,7 +42,7 @@ def test_an_animation_has_every_picture_at_its_pace(tmp_path):
             assert np.flatnonzero(red).tolist() == list(range(10 * number, 10 * number + 10))
 
 
-def test_thin_lines_keep_their_colours_above_a_ground_of_many_greens(tmp_path):
+def test_thin_lines_keep_their_colours_above_a_ground_of_many_greens(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     picture = rng.integers(0, 120, (200, 300, 3)).astype(np.uint8)
     picture[..., [0, 2]] //= 4
@@ -53,17 +55,19 @@ def test_thin_lines_keep_their_colours_above_a_ground_of_many_greens(tmp_path):
         assert np.abs(read[50 * (number + 1), 20:280] - colour).max() <= 24
 
 
-def test_a_wrong_link_is_told_before_a_browser_opens(model, monkeypatch):
+def test_a_wrong_link_is_told_before_a_browser_opens(model, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.review.page.output.export.open_page", lambda *_: pytest.fail("a browser was opened"))
     with pytest.raises(SettingsError, match="link: frame: expected 0 to 11"):
         list(export_pictures(model, "frame=99"))
 
 
-def test_a_picture_begins_from_what_it_is_given_and_the_link_comes_on_top(model, monkeypatch):
+def test_a_picture_begins_from_what_it_is_given_and_the_link_comes_on_top(
+    model, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Opened(Exception):
         """A page with a start would be opened."""
 
-    def app(_, server, state):
+    def app(_, server, state) -> None:
         stop_server(server)
         raise Opened(state)
 
@@ -75,7 +79,7 @@ def test_a_picture_begins_from_what_it_is_given_and_the_link_comes_on_top(model,
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_a_view_is_drawn_without_panels_at_any_size(model):
+def test_a_view_is_drawn_without_panels_at_any_size(model) -> None:
     first, second = export_pictures(model, "camera=bev&score=0&off=labels,links", (500, 300), [0, 6])
     assert first.shape == second.shape == (300, 500, 3)
     for image in (first, second):
@@ -85,7 +89,7 @@ def test_a_view_is_drawn_without_panels_at_any_size(model):
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_a_frame_that_cannot_be_drawn_is_told_as_it_is(model, monkeypatch):
+def test_a_frame_that_cannot_be_drawn_is_told_as_it_is(model, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = model.view
 
     def view(state):
