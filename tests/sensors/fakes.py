@@ -1,9 +1,12 @@
 """A toy world for the sensors: box rooms, box cars and traffic that drives straight on."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 from sensors.presets import get_lidar
 from sensors.scan.scene import RayScene
@@ -22,32 +25,34 @@ def painted(mesh: trimesh.Trimesh, material: int = BRIGHT) -> trimesh.Trimesh:
     return mesh
 
 
-def box(extents, center=(0.0, 0.0, 0.0), material: int = BRIGHT) -> trimesh.Trimesh:
+def box(extents: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0), material: int = BRIGHT) -> trimesh.Trimesh:
     mesh = trimesh.creation.box(extents)
     mesh.apply_translation(center)
     return painted(mesh, material)
 
 
-def ground(size: float = 400.0, center=(0.0, 0.0)) -> trimesh.Trimesh:
+def ground(size: float = 400.0, center: tuple[float, float] = (0.0, 0.0)) -> trimesh.Trimesh:
     half = size / 2
     corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]], float)
     corners[:, :2] += center
     return painted(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False))
 
 
-def box_body(model: str, size) -> trimesh.Trimesh:
+def box_body(model: str, size: tuple[float, float, float]) -> trimesh.Trimesh:
     return box(size, (0.0, 0.0, size[2] / 2))
 
 
-def cars(rows, *, time_s=0.0, speed=0.0, first_id=1000, size=CAR) -> Actors:
+def cars(
+    rows: ArrayLike, *, time_s: float = 0.0, speed: ArrayLike = 0.0, first_id: int = 1000, size: Sequence[float] = CAR
+) -> Actors:
     """Box cars at rows of x, y, yaw on the ground plane."""
-    rows = np.asarray(rows, float).reshape(-1, 3)
-    n = len(rows)
+    places = np.asarray(rows, float).reshape(-1, 3)
+    n = len(places)
     table = np.zeros((n, 7))
-    table[:, :2], table[:, 6] = rows[:, :2], rows[:, 2]
+    table[:, :2], table[:, 6] = places[:, :2], places[:, 2]
     table[:, 2], table[:, 3:6] = size[2] / 2, size
-    speed = np.broadcast_to(np.asarray(speed, float), n)
-    velocity = np.stack([np.cos(rows[:, 2]), np.sin(rows[:, 2])], axis=1) * speed[:, None]
+    along = np.broadcast_to(np.asarray(speed, float), n)
+    velocity = np.stack([np.cos(places[:, 2]), np.sin(places[:, 2])], axis=1) * along[:, None]
     boxes = Boxes.from_array(table, object_id=first_id + np.arange(n))
     return Actors(
         time_s=time_s,
@@ -62,12 +67,12 @@ def cars(rows, *, time_s=0.0, speed=0.0, first_id=1000, size=CAR) -> Actors:
     )
 
 
-def scene_of(static=None, actors: Actors | None = None) -> RayScene:
+def scene_of(static: trimesh.Trimesh | None = None, actors: Actors | None = None) -> RayScene:
     scene = RayScene(static, body_mesh=box_body)
     return scene if actors is None else scene.with_bodies(actors)
 
 
-def ideal(name: str = "debug-16", **changes) -> LidarSpec:
+def ideal(name: str = "debug-16", **changes: Any) -> LidarSpec:
     """A preset without noise, loss or threshold."""
     import msgspec
 
@@ -100,7 +105,7 @@ class StraightTraffic:
 
     def close(self) -> None: ...
 
-    def __enter__(self):
+    def __enter__(self) -> "StraightTraffic":
         return self
 
     def __exit__(self, *exc: object) -> None: ...
@@ -121,6 +126,6 @@ def rows_of(actors: Actors, rows: list[int]) -> Actors:
     )
 
 
-def toy_scenario(**rule) -> Scenario:
-    rule = {"vehicles": 2, "lidar": "debug-16"} | rule
+def toy_scenario(**rule: Any) -> Scenario:
+    rule = {"vehicles": 2, "lidar": "debug-16", **rule}
     return Scenario(name="toy", description="", network=NetworkSpec(), demand=DemandSpec(), agents=AgentRule(**rule))

@@ -1,5 +1,6 @@
 """Raw sweeps of analytic planes seen from a moving sensor: what compensation must give back is known exactly."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,7 +47,7 @@ def driving(speed: float = 15.0, turn: float = 1.0, offset: float = 0.0) -> Path
     return Path.through(NOW_S + times, pose_matrix(xyz, yaw, 0.2 * times, 0.1 * times))
 
 
-def measured(path: Path, planes=(ROAD, WALL), spec: LidarSpec = SPEC, offset: float = 0.0) -> Sweep:
+def measured(path: Path, planes: Sequence[tuple] = (ROAD, WALL), spec: LidarSpec = SPEC, offset: float = 0.0) -> Sweep:
     """Raw points: for each beam the range along its direction, from where the sensor is when it fires."""
     azimuth = spec.azimuth + spec.azimuth_offset[:, None]
     elevation = np.broadcast_to(spec.elevation[:, None], azimuth.shape)

@@ -6,7 +6,7 @@ from sensors.sweep import make_sweep
 from sim.boxes import Boxes
 
 
-def frame_of(points_on):
+def frame_of(points_on: np.ndarray) -> Frame:
     sweep = make_sweep(np.ones((2, 3)))
     agent = AgentFrame(1000, "vehicle", np.eye(4), 0.0, sweep)
     boxes = Boxes.from_array(np.ones((1, 7)), object_id=[1000])

@@ -45,6 +45,6 @@ def test_no_actors_make_no_paths() -> None:
 
 
 @pytest.mark.parametrize("times", [[], [1.0], [1.0, 1.0], [1.0, 0.9], [0.0, np.nan]])
-def test_a_path_of_less_than_two_ascending_times_is_refused(times) -> None:
+def test_a_path_of_less_than_two_ascending_times_is_refused(times: list[float]) -> None:
     with pytest.raises(DataError, match=f"path: time_s: expected at least two ascending times, found {len(times)}: "):
         Path.through(times, np.tile(np.eye(4), (len(times), 1, 1)))

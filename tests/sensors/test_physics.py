@@ -1,6 +1,7 @@
 """What any LiDAR must measure, whichever engine makes the sweep."""
 
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,10 +13,12 @@ from sensors.optics.reflectance import COSINE_BINS, optics_of, returned_power, w
 from sensors.presets import LIDARS, get_lidar
 from sensors.scan.lidar import Sensor, scan, scan_all
 from sensors.scan.scene import RayScene
-from sensors.sweep import POINT_FIELDS, STATIC
+from sensors.spec import LidarSpec
+from sensors.sweep import POINT_FIELDS, STATIC, Sweep
 from sim.errors import DataError, SettingsError
 from sim.geometry import pose_matrix
 from sim.mesh.materials import MATERIALS, material_index
+from sim.traffic.base import Actors
 from tests.sensors.fakes import BRIGHT, CAR, box, box_body, cars, ground, ideal, painted
 
 SENSOR = pose_matrix([0.0, 0.0, 1.9])
@@ -23,20 +26,20 @@ ENGINES = ("public", "fused")
 
 
 @pytest.fixture(params=ENGINES)
-def engine(request: pytest.FixtureRequest):
+def engine(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-def scene_of(engine, static, actors=None, **motion):
+def scene_of(engine: str, static: trimesh.Trimesh | None, actors: Actors | None = None, **motion: Any) -> RayScene:
     scene = RayScene(static, body_mesh=box_body, engine=engine)
     return scene if actors is None else scene.with_bodies(actors, **motion)
 
 
-def still(scene, spec, pose=SENSOR, seed=0, **more):
+def still(scene: RayScene, spec: LidarSpec, pose: np.ndarray = SENSOR, seed: int = 0, **more: Any) -> Sweep:
     return scan(scene, spec, pose, pose, 0.0, np.random.default_rng(seed), **more)
 
 
-def test_points_lie_on_a_sphere_around_the_sensor(engine) -> None:
+def test_points_lie_on_a_sphere_around_the_sensor(engine: str) -> None:
     ball = painted(trimesh.creation.icosphere(subdivisions=6, radius=20.0))
     sweep = still(scene_of(engine, ball), ideal(), pose_matrix([1.0, -2.0, 0.5], 0.7, 0.2, -0.1))
     # The facets of the ball are up to 3 mm inside it: its own planes are what is measured.
@@ -48,7 +51,7 @@ def test_points_lie_on_a_sphere_around_the_sensor(engine) -> None:
     assert np.abs(np.linalg.norm(sweep.world_points, axis=1) - 20.0).max() < 4e-3
 
 
-def test_points_in_a_box_room_are_analytic(engine) -> None:
+def test_points_in_a_box_room_are_analytic(engine: str) -> None:
     half = np.array([12.0, 9.0, 6.0])
     spec = ideal("opv2v-64")
     sweep = still(scene_of(engine, box(2 * half)), spec, pose_matrix([0.0, 0.0, 0.0]))
@@ -61,7 +64,7 @@ def test_points_in_a_box_room_are_analytic(engine) -> None:
     np.testing.assert_allclose(sweep.points, expected, rtol=0.0, atol=1e-4)
 
 
-def test_points_lie_on_a_tilted_plane(engine) -> None:
+def test_points_lie_on_a_tilted_plane(engine: str) -> None:
     plane = ground(200.0)
     tilt = pose_matrix([0.0, 0.0, 0.0], 0.3, 0.06, -0.04)
     plane.apply_transform(tilt)
@@ -70,7 +73,7 @@ def test_points_lie_on_a_tilted_plane(engine) -> None:
     assert np.abs(sweep.world_points @ tilt[:3, 2]).max() < 1e-4
 
 
-def test_rings_on_flat_ground_lie_where_geometry_says(engine) -> None:
+def test_rings_on_flat_ground_lie_where_geometry_says(engine: str) -> None:
     spec = ideal("opv2v-64")
     sweep = still(scene_of(engine, ground()), spec)
     expected = 1.9 / np.tan(-spec.elevation[sweep.ring])
@@ -78,7 +81,7 @@ def test_rings_on_flat_ground_lie_where_geometry_says(engine) -> None:
     np.testing.assert_allclose(sweep.cosine, np.sin(-spec.elevation[sweep.ring]), rtol=1e-4)
 
 
-def test_points_on_a_car_fall_with_the_square_of_its_distance(engine) -> None:
+def test_points_on_a_car_fall_with_the_square_of_its_distance(engine: str) -> None:
     view = {"azimuth_start_deg": -15.0, "azimuth_end_deg": 15.0}
     spec = ideal("opv2v-64", columns=341, elevation_deg=tuple(np.linspace(6.5, -6.5, 512).tolist()), **view)
     counts = []
@@ -92,7 +95,7 @@ def test_points_on_a_car_fall_with_the_square_of_its_distance(engine) -> None:
     np.testing.assert_allclose(made, expected, rtol=0.05)
 
 
-def test_a_sensor_above_a_vertex_of_the_mesh_loses_no_ground(engine) -> None:
+def test_a_sensor_above_a_vertex_of_the_mesh_loses_no_ground(engine: str) -> None:
     side = np.arange(-60.0, 61.0, 2.0)
     x, y = np.meshgrid(side, side, indexing="ij")
     count = len(side)
@@ -110,7 +113,7 @@ def test_a_sensor_above_a_vertex_of_the_mesh_loses_no_ground(engine) -> None:
 
 
 @pytest.mark.parametrize("name", [material.name for material in MATERIALS if material.finish != "glass"])
-def test_intensity_follows_the_law_of_its_material(engine, name) -> None:
+def test_intensity_follows_the_law_of_its_material(engine: str, name: str) -> None:
     index = material_index(name)
     road = ground()
     road.face_attributes["material"][:] = index
@@ -124,7 +127,9 @@ def test_intensity_follows_the_law_of_its_material(engine, name) -> None:
 @pytest.mark.parametrize("range_10_m", [40.0, 300.0, 1e4])
 @pytest.mark.parametrize("distance", [3.0, 60.0])
 @pytest.mark.parametrize("subrays", [1, 4])
-def test_window_panes_are_seen_only_when_hit_squarely(engine, range_10_m: float, distance: float, subrays: int) -> None:
+def test_window_panes_are_seen_only_when_hit_squarely(
+    engine: str, range_10_m: float, distance: float, subrays: int
+) -> None:
     pane = box((0.1, 60.0, 30.0), (distance + 0.05, 0.0, 0.0), material_index("glass"))
     spec = ideal("opv2v-64", range_10_m=range_10_m, subrays=subrays)
     sweep = still(scene_of(engine, pane), spec, pose_matrix([0.0, 0.0, 0.0]))
@@ -138,7 +143,7 @@ def test_window_panes_are_seen_only_when_hit_squarely(engine, range_10_m: float,
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_every_preset_sees_panes_squarely_at_any_range_and_aslant_at_none(name) -> None:
+def test_every_preset_sees_panes_squarely_at_any_range_and_aslant_at_none(name: str) -> None:
     optics = optics_of(get_lidar(name))
     pane = optics.power[material_index("glass")]
     angle = np.degrees(np.arccos(np.linspace(0.0, 1.0, COSINE_BINS + 1)))
@@ -146,7 +151,7 @@ def test_every_preset_sees_panes_squarely_at_any_range_and_aslant_at_none(name) 
     assert not pane[angle > 5.1].any()
 
 
-def test_a_pane_that_mirrors_a_beam_away_joins_no_echoes(engine) -> None:
+def test_a_pane_that_mirrors_a_beam_away_joins_no_echoes(engine: str) -> None:
     """Two walls 2.1 m apart are two echoes of a 10 ns pulse, with a slanted pane half-way between them or without.
 
     Of the beams that go past the edge of the near wall, the upper half meets the pane.
@@ -163,7 +168,7 @@ def test_a_pane_that_mirrors_a_beam_away_joins_no_echoes(engine) -> None:
         assert ((ahead.points[:, 0] < 14.01) | (ahead.points[:, 0] > 15.98)).all()
 
 
-def test_wet_ground_is_darker_and_wet_plates_are_not(engine) -> None:
+def test_wet_ground_is_darker_and_wet_plates_are_not(engine: str) -> None:
     road, plate = ground(), ground()
     road.face_attributes["material"][:] = material_index("asphalt")
     plate.face_attributes["material"][:] = material_index("plate")
@@ -176,20 +181,20 @@ def test_wet_ground_is_darker_and_wet_plates_are_not(engine) -> None:
     np.testing.assert_array_equal(*shiny)
 
 
-def test_carla_s_intensity_depends_on_the_range_alone(engine) -> None:
+def test_carla_s_intensity_depends_on_the_range_alone(engine: str) -> None:
     spec = ideal("opv2v-64", intensity_law="distance", attenuation=0.004)
     sweep = still(scene_of(engine, ground(), cars([[9.0, 2.0, 0.3]])), spec)
     np.testing.assert_allclose(sweep.intensity, np.exp(-0.004 * sweep.range), atol=1e-4)
 
 
-def leaf(engine):
+def leaf(engine: str) -> RayScene:
     """A wall at 20 m and a leaf at 14 m whose edge runs straight ahead."""
     static = box((0.2, 40.0, 40.0), (20.1, 0.0, 0.0)) + box((0.001, 5.0, 40.0), (14.0, 2.5, 0.0))
     return scene_of(engine, static)
 
 
 @pytest.mark.parametrize("subrays", [4, 8])
-def test_a_beam_on_the_edge_of_a_leaf_has_two_returns(engine, subrays: int) -> None:
+def test_a_beam_on_the_edge_of_a_leaf_has_two_returns(engine: str, subrays: int) -> None:
     spec = ideal(
         subrays=subrays, returns="dual", divergence_rad=0.02, pulse_s=5e-9, elevation_deg=(1.0, 0.0, -1.0), columns=3600
     )
@@ -205,7 +210,7 @@ def test_a_beam_on_the_edge_of_a_leaf_has_two_returns(engine, subrays: int) -> N
     assert (sweep.intensity[both] + sweep.intensity[both + 1] < MATERIALS[BRIGHT].reflectivity * 1.01).all()
 
 
-def test_one_return_is_the_strongest_or_the_last(engine) -> None:
+def test_one_return_is_the_strongest_or_the_last(engine: str) -> None:
     spec = ideal(subrays=4, divergence_rad=0.02, pulse_s=5e-9, elevation_deg=(1.0, 0.0, -1.0), columns=3600)
     made = {}
     for returns in ("strongest", "last"):
@@ -219,7 +224,7 @@ def test_one_return_is_the_strongest_or_the_last(engine) -> None:
     assert (made["last"].range >= made["strongest"].range - 1e-4).all()
 
 
-def test_surfaces_within_a_pulse_length_are_one_mixed_point(engine) -> None:
+def test_surfaces_within_a_pulse_length_are_one_mixed_point(engine: str) -> None:
     static = box((0.2, 40.0, 40.0), (20.1, 0.0, 0.0)) + box((0.001, 5.0, 40.0), (19.6, 2.5, 0.0))
     spec = ideal(subrays=4, divergence_rad=0.02, pulse_s=1e-8, elevation_deg=(0.0,), columns=3600, returns="dual")
     sweep = still(scene_of(engine, static), spec, pose_matrix([0.0, 0.0, 0.0]))
@@ -229,7 +234,7 @@ def test_surfaces_within_a_pulse_length_are_one_mixed_point(engine) -> None:
     assert between.any()
 
 
-def test_the_own_body_is_seen_by_sensors_that_are_not_cropped(engine) -> None:
+def test_the_own_body_is_seen_by_sensors_that_are_not_cropped(engine: str) -> None:
     scene = scene_of(engine, ground(), cars([[0.0, 0.0, 0.0]], size=(4.5, 1.8, 1.5)))
     steep = {"elevation_deg": tuple(np.linspace(0.0, -60.0, 32).tolist())}
     masked = still(scene, ideal(**steep), exclude_id=1000)
@@ -238,7 +243,7 @@ def test_the_own_body_is_seen_by_sensors_that_are_not_cropped(engine) -> None:
     assert (seen.object_id == 1000).sum() > 500
 
 
-def test_more_sensors_than_a_ray_mask_has_bits_each_miss_their_own_body(engine) -> None:
+def test_more_sensors_than_a_ray_mask_has_bits_each_miss_their_own_body(engine: str) -> None:
     count = 40
     rows = np.column_stack([6.0 * (np.arange(count) % 8), 5.0 * (np.arange(count) // 8), np.zeros(count)])
     actors = cars(rows)
@@ -253,7 +258,7 @@ def test_more_sensors_than_a_ray_mask_has_bits_each_miss_their_own_body(engine) 
         assert len(np.unique(sweep.object_id)) > 3
 
 
-def test_a_world_500_km_away_gives_the_same_sweep(engine) -> None:
+def test_a_world_500_km_away_gives_the_same_sweep(engine: str) -> None:
     offset = np.array([500_000.0, 5_700_000.0, 0.0])
     far_cars = cars([[9.0, 4.0, 0.4]], speed=7.0)
     far_cars.boxes.center[:] += offset
@@ -267,12 +272,12 @@ def test_a_world_500_km_away_gives_the_same_sweep(engine) -> None:
 
 
 @pytest.mark.parametrize("name", ["opv2v-64", "vlp-16", "at128", "livox-avia"])
-def test_one_seed_gives_the_same_bytes_on_one_thread_and_on_two(engine, name: str) -> None:
+def test_one_seed_gives_the_same_bytes_on_one_thread_and_on_two(engine: str, name: str) -> None:
     actors = cars([[0.0, 0.0, 0.0], [9.0, 3.0, 0.2], [-12.0, -5.0, 2.0]], speed=[8.0, 5.0, 0.0])
     scene = scene_of(engine, ground() + box((8, 20, 9), (25.0, 0.0, 4.5)), actors)
     path = Path.through([-0.1, 0.1], np.stack([pose_matrix([-0.8, 0, 1.9]), pose_matrix([0.8, 0, 1.9], 0.02)]))
 
-    def sweeps(threads):
+    def sweeps(threads: int) -> list[Sweep]:
         sensors = [Sensor(get_lidar(name), path, 0.0, np.random.default_rng(k), 1000) for k in range(3)]
         return scan_all(scene, sensors, threads=threads)
 
@@ -282,7 +287,7 @@ def test_one_seed_gives_the_same_bytes_on_one_thread_and_on_two(engine, name: st
             assert getattr(one, field).tobytes() == getattr(two, field).tobytes()
 
 
-def test_firing_times_of_beams_move_with_the_sensor(engine) -> None:
+def test_firing_times_of_beams_move_with_the_sensor(engine: str) -> None:
     """A sensor that drives at 30 m/s fires its last beam 50 us after its first: 1.5 mm farther on."""
     firing = tuple(np.linspace(0.0, 5e-5, 16).tolist())
     spec = ideal(firing_s=firing, columns=1800)
@@ -297,7 +302,7 @@ def test_firing_times_of_beams_move_with_the_sensor(engine) -> None:
     np.testing.assert_allclose(elevation, spec.elevation[sweep.ring], atol=1e-5)
 
 
-def test_a_car_that_brakes_and_turns_is_met_where_it_is(engine) -> None:
+def test_a_car_that_brakes_and_turns_is_met_where_it_is(engine: str) -> None:
     times = np.array([-0.1, 0.0, 0.1])
     rows = [[12.0 - 8.0 * t - 3.0 * t**2, 3.0 + 2.0 * t, 0.4 + 0.9 * t] for t in times]
     before, now, after = (replace(cars([row]), time_s=t) for row, t in zip(rows, times, strict=True))
@@ -313,7 +318,7 @@ def test_a_car_that_brakes_and_turns_is_met_where_it_is(engine) -> None:
     assert off.max() < 5e-4
 
 
-def test_jitter_turns_the_ray_and_not_the_point(engine) -> None:
+def test_jitter_turns_the_ray_and_not_the_point(engine: str) -> None:
     spec = ideal("opv2v-64", angle_noise_deg=0.1)
     room = box((30, 30, 30))
     clean = still(scene_of(engine, room), ideal("opv2v-64"), pose_matrix([0.0, 0.0, 0.0]))
@@ -325,7 +330,7 @@ def test_jitter_turns_the_ray_and_not_the_point(engine) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_mesh_with_nan_or_infinity_is_refused(bad) -> None:
+def test_a_mesh_with_nan_or_infinity_is_refused(bad: float) -> None:
     mesh = ground()
     mesh.vertices = np.where(np.arange(4)[:, None] == 2, bad, mesh.vertices)
     with pytest.raises(DataError, match="static world: vertices: expected finite coordinates"):
@@ -344,7 +349,7 @@ def test_tables_of_power_hold_every_material() -> None:
 
 
 @pytest.mark.parametrize("bad", [len(MATERIALS), 255])
-def test_an_unknown_material_is_refused(bad) -> None:
+def test_an_unknown_material_is_refused(bad: int) -> None:
     mesh = ground()
     mesh.face_attributes["material"][1] = bad
     with pytest.raises(DataError, match=f"material: expected an index below {len(MATERIALS)}, found {bad} of face 1"):
@@ -358,7 +363,7 @@ def test_a_sweep_longer_than_its_bodies_motion_is_refused() -> None:
 
 
 @pytest.mark.parametrize("wetness", [-0.1, 1.5, np.nan])
-def test_a_wetness_outside_0_to_1_is_refused(wetness) -> None:
+def test_a_wetness_outside_0_to_1_is_refused(wetness: float) -> None:
     with pytest.raises(SettingsError, match="wetness: expected 0 to 1"):
         still(scene_of("public", ground()), ideal(), wetness=wetness)
 

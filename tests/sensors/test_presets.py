@@ -37,7 +37,7 @@ DATASHEET = {
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_a_preset_lists_beams_from_the_top_and_names_its_source(name) -> None:
+def test_a_preset_lists_beams_from_the_top_and_names_its_source(name: str) -> None:
     spec = get_lidar(name)
     assert spec.name == name
     assert (np.diff(spec.elevation_deg) < 0).all()
@@ -46,7 +46,7 @@ def test_a_preset_lists_beams_from_the_top_and_names_its_source(name) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_every_ray_of_a_preset_is_a_unit_vector(name) -> None:
+def test_every_ray_of_a_preset_is_a_unit_vector(name: str) -> None:
     spec = msgspec.structs.replace(get_lidar(name), subrays=4)
     beams = beams_of(spec, 0.05)
     assert beams.columns == spec.columns <= beams.axis.shape[2]
@@ -55,13 +55,13 @@ def test_every_ray_of_a_preset_is_a_unit_vector(name) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_a_preset_survives_json(name) -> None:
+def test_a_preset_survives_json(name: str) -> None:
     spec = get_lidar(name)
     assert msgspec.json.decode(msgspec.json.encode(spec), type=LidarSpec) == spec
 
 
 @pytest.mark.parametrize("name", sorted(DATASHEET))
-def test_points_per_second_and_field_of_view_are_those_of_the_datasheet(name) -> None:
+def test_points_per_second_and_field_of_view_are_those_of_the_datasheet(name: str) -> None:
     spec = get_lidar(name)
     rate, top, bottom = DATASHEET[name]
     assert spec.rings * spec.columns * spec.rate_hz == pytest.approx(rate, rel=0.04)
@@ -76,21 +76,21 @@ def test_each_real_sensor_has_a_datasheet_here() -> None:
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_a_table_numbers_every_laser_once(name) -> None:
+def test_a_table_numbers_every_laser_once(name: str) -> None:
     lines = [line for line in (FOLDER / f"{name}.csv").read_text().splitlines() if not line.startswith("#")]
     lasers = sorted(int(line.split(",")[0]) for line in lines[1:])
     assert lasers in ([*range(len(lasers))], [*range(1, len(lasers) + 1)])
 
 
 @pytest.mark.parametrize("name", sorted(set(REAL) - {"at128"}))
-def test_a_spinning_head_turns_clockwise_through_a_whole_turn(name) -> None:
+def test_a_spinning_head_turns_clockwise_through_a_whole_turn(name: str) -> None:
     spec = get_lidar(name)
     assert (np.diff(spec.azimuth) < 0.0).all()
     assert np.ptp(spec.azimuth) == pytest.approx(2 * np.pi * (1 - 1 / spec.columns))
 
 
 @pytest.mark.parametrize("name", FIRED_IN_TURN)
-def test_lasers_of_a_column_fire_one_after_another(name) -> None:
+def test_lasers_of_a_column_fire_one_after_another(name: str) -> None:
     spec = get_lidar(name)
     times = spec.time_offset
     assert len(np.unique(np.round(times[:, 0], 10))) >= spec.rings / 16
@@ -172,7 +172,7 @@ def test_carla_intensity_depends_on_range_alone_and_the_world_is_frozen() -> Non
 
 
 @pytest.mark.parametrize("name", ["debug-16", *REAL, *ROSETTES])
-def test_only_simulated_sensors_lose_points_at_random(name) -> None:
+def test_only_simulated_sensors_lose_points_at_random(name: str) -> None:
     spec = get_lidar(name)
     assert spec.dropoff_rate == spec.dropoff_zero_intensity == 0.0
 
@@ -184,7 +184,7 @@ def test_field_of_view_of_a_roadside_unit_is_not_a_circle() -> None:
 
 
 @pytest.mark.parametrize("name", list_scenarios())
-def test_roadside_units_of_the_scenarios_look_down_on_the_road(name) -> None:
+def test_roadside_units_of_the_scenarios_look_down_on_the_road(name: str) -> None:
     for unit in load_scenario(name).agents.roadside:
         spec = get_lidar(unit.lidar)
         top, bottom = spec.elevation_deg[0] - unit.pitch_deg, spec.elevation_deg[-1] - unit.pitch_deg
@@ -208,7 +208,7 @@ def test_the_table_in_the_documentation_is_current() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(LIDARS))
-def test_what_a_document_leaves_open_is_named_as_assumed(name) -> None:
+def test_what_a_document_leaves_open_is_named_as_assumed(name: str) -> None:
     """An accuracy without its confidence is taken as one standard deviation, a divergence without its level as FWHM."""
     spec = get_lidar(name)
     if "taken as 1 sigma" in spec.source:

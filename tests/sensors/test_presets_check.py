@@ -8,19 +8,20 @@ import pytest
 from sensors.presets import LIDARS, get_lidar, register_sensor
 from sensors.presets.check import check_sensor
 from sensors.spec import LidarSpec
+from sim.catalog.registry import Registry
 from sim.errors import SettingsError
 
 MINE = LidarSpec(name="mine-4", elevation_deg=(2.0, 0.0, -2.0, -8.0), columns=180)
 
 
 @pytest.fixture
-def lidars(monkeypatch: pytest.MonkeyPatch):
+def lidars(monkeypatch: pytest.MonkeyPatch) -> Registry[LidarSpec]:
     """Presets that a test may add to."""
     monkeypatch.setattr(LIDARS, "_values", dict(LIDARS._values))
     return LIDARS
 
 
-def test_a_registered_lidar_is_found_by_its_name(lidars) -> None:
+def test_a_registered_lidar_is_found_by_its_name(lidars: Registry[LidarSpec]) -> None:
     register_sensor(MINE)
     register_sensor(MINE)
     assert get_lidar("mine-4") is MINE
@@ -29,7 +30,9 @@ def test_a_registered_lidar_is_found_by_its_name(lidars) -> None:
         register_sensor(msgspec.structs.replace(MINE, columns=90))
 
 
-def test_an_entry_point_gives_a_lidar_and_a_wrong_one_says_so(lidars, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_entry_point_gives_a_lidar_and_a_wrong_one_says_so(
+    lidars: Registry[LidarSpec], monkeypatch: pytest.MonkeyPatch
+) -> None:
     values = {"ours": MINE, "other": 3.14}
     points = {name: EntryPoint(name, f"{__name__}:{name}", lidars.group) for name in values}
     monkeypatch.setitem(lidars.__dict__, "_installed", points)

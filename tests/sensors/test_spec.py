@@ -1,5 +1,7 @@
 import math
 import re
+from collections.abc import Callable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -79,7 +81,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("field", "changes", "expected"), REFUSED)
 def test_an_impossible_sensor_is_refused_with_its_name_the_field_what_was_expected_and_found(
-    field, changes, expected
+    field: str, changes: dict[str, Any], expected: str
 ) -> None:
     found = changes.get(field, getattr(get_lidar("debug-16"), field))
     shown = found if isinstance(found, str) else repr(found)
@@ -147,7 +149,7 @@ MISTAKEN = [
 
 
 @pytest.mark.parametrize(("field", "found", "expected"), MISTAKEN)
-def test_a_value_of_another_type_is_refused_like_an_impossible_one(field, found, expected) -> None:
+def test_a_value_of_another_type_is_refused_like_an_impossible_one(field: str, found: Any, expected: str) -> None:
     with pytest.raises(SettingsError, match=re.escape(f"{field}: expected {expected}, found ")) as error:
         msgspec.structs.replace(get_lidar("debug-16"), **{field: found})
     assert " ".join(repr(found).split())[:30] in str(error.value)
@@ -161,7 +163,7 @@ def test_a_prism_of_other_types_is_refused(field: str, found: str | None) -> Non
 
 
 @pytest.mark.parametrize("kind", [list, np.array, lambda table: np.array(table, np.float32)])
-def test_tables_may_be_lists_and_arrays(kind) -> None:
+def test_tables_may_be_lists_and_arrays(kind: Callable[..., Any]) -> None:
     tables = {
         "elevation_deg": (2.0, 0.5, -1.0),
         "azimuth_offset_deg": (0.25, 0.0, -0.25),

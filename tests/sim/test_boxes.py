@@ -75,7 +75,7 @@ def test_a_car_at_45_degrees_contains_its_own_corners_but_not_those_of_its_hull(
 
 
 @given(rows)
-def test_every_box_contains_its_corners_and_its_centre(array) -> None:
+def test_every_box_contains_its_corners_and_its_centre(array: np.ndarray) -> None:
     boxes = Boxes.from_array(array)
     assert np.diagonal(boxes.contains(boxes.center)).all()
     for i, corners in enumerate(boxes.corners()):
@@ -84,7 +84,7 @@ def test_every_box_contains_its_corners_and_its_centre(array) -> None:
 
 
 @given(rows, planar)
-def test_boxes_move_like_their_corners(array, destination_from_source) -> None:
+def test_boxes_move_like_their_corners(array: np.ndarray, destination_from_source: np.ndarray) -> None:
     boxes = Boxes.from_array(array)
     moved = boxes.transform(destination_from_source)
     expected = transform_points(destination_from_source, boxes.corners().reshape(-1, 3)).reshape(-1, 8, 3)
@@ -95,7 +95,9 @@ def test_boxes_move_like_their_corners(array, destination_from_source) -> None:
 
 
 @given(rows, planar)
-def test_points_inside_stay_inside_when_everything_moves(array, destination_from_source) -> None:
+def test_points_inside_stay_inside_when_everything_moves(
+    array: np.ndarray, destination_from_source: np.ndarray
+) -> None:
     boxes = Boxes.from_array(array)
     local = np.random.default_rng(0).uniform(-0.7, 0.7, (40, 3))
     points = (boxes.center[:, None] + local * 3).reshape(-1, 3)
@@ -113,7 +115,7 @@ def test_corners_run_front_right_front_left_rear_left_rear_right_bottom_first() 
 
 
 @given(rows)
-def test_footprints_are_counter_clockwise_and_as_large_as_length_times_width(array) -> None:
+def test_footprints_are_counter_clockwise_and_as_large_as_length_times_width(array: np.ndarray) -> None:
     boxes = Boxes.from_array(array)
     for polygon, (length, width, _) in zip(boxes.bev_polygons(), boxes.size, strict=True):
         shape = Polygon(polygon)

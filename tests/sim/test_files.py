@@ -162,7 +162,8 @@ def test_an_output_is_apart_from_its_input(tmp_path: Path) -> None:
 
 def test_a_signed_picture_is_a_picture(tmp_path: Path) -> None:
     blank = io.BytesIO()
-    mpimg.imsave(blank, np.zeros((2, 3, 3)), format="png", metadata={"Software": None})
+    unsigned = {"Software": None}
+    mpimg.imsave(blank, np.zeros((2, 3, 3)), format="png", metadata=unsigned)  # type: ignore[arg-type]
     write_file(tmp_path / "a.png", signed_picture(blank.getvalue()))
     assert mpimg.imread(tmp_path / "a.png").shape[:2] == (2, 3)
     write_file(tmp_path / "a.png", signed_picture(blank.getvalue()))

@@ -24,7 +24,7 @@ place = st.tuples(st.floats(-1000, 1000), st.floats(-1000, 1000), st.floats(-50,
 pose = st.builds(pose_matrix, place, angle, st.floats(-1.5, 1.5), angle)
 
 
-def random_poses(n=1000, seed=0):
+def random_poses(n: int = 1000, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return (n, 3) places and (n,) yaw, pitch and roll of road vehicles anywhere, heading anywhere."""
     rng = np.random.default_rng(seed)
     xyz = rng.uniform(-5000, 5000, (n, 3)) * [1, 1, 0.02]
@@ -32,7 +32,7 @@ def random_poses(n=1000, seed=0):
 
 
 @given(pose, pose, pose)
-def test_poses_form_a_group(a, b, c) -> None:
+def test_poses_form_a_group(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
     np.testing.assert_allclose((a @ b) @ c, a @ (b @ c), atol=1e-8)
     np.testing.assert_allclose(a @ np.eye(4), a)
     np.testing.assert_allclose(a @ invert(a), np.eye(4), atol=1e-9)
@@ -41,7 +41,7 @@ def test_poses_form_a_group(a, b, c) -> None:
 
 
 @given(pose)
-def test_a_pose_is_a_rotation_and_a_place(matrix) -> None:
+def test_a_pose_is_a_rotation_and_a_place(matrix: np.ndarray) -> None:
     rotation = matrix[:3, :3]
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
@@ -49,13 +49,13 @@ def test_a_pose_is_a_rotation_and_a_place(matrix) -> None:
 
 
 @given(pose)
-def test_angles_of_a_pose_make_the_pose(matrix) -> None:
+def test_angles_of_a_pose_make_the_pose(matrix: np.ndarray) -> None:
     yaw, pitch, roll = pose_angles(matrix)
     np.testing.assert_allclose(pose_matrix(matrix[:3, 3], yaw, pitch, roll), matrix, atol=1e-9)
 
 
 @given(pose)
-def test_a_rounded_rotation_becomes_one_again(matrix) -> None:
+def test_a_rounded_rotation_becomes_one_again(matrix: np.ndarray) -> None:
     rotation = matrix[:3, :3]
     assert np.allclose(nearest_rotation(rotation), rotation, atol=1e-12)
     back = nearest_rotation(np.round(rotation, 3))
@@ -134,7 +134,9 @@ def test_a_carla_car_has_y_to_the_right() -> None:
     assert transform_points(uphill, [[1.0, 0, 0]])[0, 2] > 0
 
 
-def sumo_from_center(base, yaw, pitch, length):
+def sumo_from_center(
+    base: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, length: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return SUMO's (front_xyz, angle_deg in [0, 360), slope_deg), the inverse of `center_from_sumo`."""
     slope = -pitch
     forward = np.stack([np.cos(slope) * np.cos(yaw), np.cos(slope) * np.sin(yaw), np.sin(slope)], axis=-1)

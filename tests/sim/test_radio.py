@@ -1,6 +1,7 @@
 """The radio channel keeps the published tables, its statistics and its promises."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -50,7 +51,7 @@ def at(
         (FAST, Obstruction.BUILDING, [0.46, 0.01, 0, 0, 0, 0, 0, 0]),
     ],
 )
-def test_delivery_keeps_the_table(spec, sight, row: list[int] | list[float]) -> None:
+def test_delivery_keeps_the_table(spec: ChannelSpec, sight: Obstruction, row: list[int] | list[float]) -> None:
     """The table of `closed_loop.md` 5, 25 to 500 m at 23 dBm."""
     found = [delivery_probability(spec, d, sight) for d in (25, 50, 70, 100, 150, 200, 300, 500)]
     np.testing.assert_allclose(found, row, atol=0.006)
@@ -81,7 +82,7 @@ def test_path_loss_grows_with_distance_and_with_what_is_between(environment: str
 
 
 @pytest.mark.parametrize("sight", list(Obstruction))
-def test_packets_arrive_as_often_as_the_link_budget_says(sight) -> None:
+def test_packets_arrive_as_often_as_the_link_budget_says(sight: Obstruction) -> None:
     """Over many links, whatever part of the variance is shadowing."""
     spec = replace(FAST, collision_share=0.0)
     distance = {Obstruction.FREE: 200.0, Obstruction.VEHICLE: 70.0, Obstruction.BUILDING: 25.0}[sight]
@@ -244,7 +245,7 @@ def test_instants_are_made_only_as_far_back_as_is_looked() -> None:
     class Made(list):
         asked: tuple = ()
 
-        def __iter__(self):
+        def __iter__(self) -> Iterator[object]:
             for i in range(len(self)):
                 self.asked = (*self.asked, i)
                 yield self[i]
@@ -276,7 +277,7 @@ def test_who_waits_for_its_turn_puts_nothing_on_air() -> None:
 
 
 @pytest.mark.parametrize("radio", [Radio(), Radio("c-v2x", loss=0.3), Radio("paper", 0.0, 0.2, 0.4)])
-def test_the_label_of_a_radio_is_read_back(radio) -> None:
+def test_the_label_of_a_radio_is_read_back(radio: Radio) -> None:
     assert Radio.parse(radio.label) == radio
 
 

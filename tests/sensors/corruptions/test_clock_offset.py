@@ -11,7 +11,7 @@ from sensors.deskew import deskew
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
 from sensors.recording.rig import Rig
-from sensors.sweep import KEPT, MOVED, make_sweep
+from sensors.sweep import KEPT, MOVED, Sweep, make_sweep
 from sim.boxes import Boxes
 from sim.errors import SettingsError
 from sim.geometry import invert, pose_matrix
@@ -29,7 +29,7 @@ class Exactly:
         return 0.5 * (low + high)
 
 
-def late(clean: Frame, row: int, late_s: float = LATE_S):
+def late(clean: Frame, row: int, late_s: float = LATE_S) -> Sweep:
     return in_frame(clean, row, ClockOffset(late_ms=1e3 * late_s), Exactly())  # type: ignore[arg-type]
 
 

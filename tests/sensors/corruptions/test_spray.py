@@ -12,7 +12,7 @@ from sensors.corruptions.physics.plume import plumes_of
 from sensors.corruptions.spray import LIDAR_RATIO_SR, Spray, corrupt
 from sensors.frame import Frame
 from sensors.recording.rig import Rig
-from sensors.sweep import ADDED, ATTENUATED, KEPT, SCATTERED, UNKNOWN_MATERIAL
+from sensors.sweep import ADDED, ATTENUATED, KEPT, SCATTERED, UNKNOWN_MATERIAL, Sweep
 from sim.errors import SettingsError
 from sim.geometry import invert, transform_points
 from tests.sensors.corruptions.street import same
@@ -36,11 +36,11 @@ def drive(speed: float = 22.0, time_s: float = 0.0) -> Frame:
     return rig.frame(int(10 * time_s), [EGO, OTHER], actors)
 
 
-def sweep_of(frame: Frame, agent_id: int = EGO):
+def sweep_of(frame: Frame, agent_id: int = EGO) -> Sweep:
     return frame.agent(agent_id).sweep
 
 
-def sprayed(frame: Frame, settings: Spray = HEAVY, agent_id: int = EGO, seed: int = 1):
+def sprayed(frame: Frame, settings: Spray = HEAVY, agent_id: int = EGO, seed: int = 1) -> Sweep:
     row = [agent.agent_id for agent in frame.agents].index(agent_id)
     return corrupt(frame, row, settings, rng(seed))
 

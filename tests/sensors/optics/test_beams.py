@@ -1,24 +1,27 @@
+from typing import Any
+
 import msgspec
 import numpy as np
 import pytest
 
 from sensors.optics.beams import BLOCK, beams_of, halo
 from sensors.presets import LIDARS, get_lidar
+from sensors.spec import LidarSpec
 
 SPINNING = sorted(name for name, spec in LIDARS.items() if not spec.prisms)
 
 
-def spec_of(name="debug-16", **changes):
+def spec_of(name: str = "debug-16", **changes: Any) -> LidarSpec:
     return msgspec.structs.replace(get_lidar(name), **changes)
 
 
-def angles(directions):
+def angles(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Azimuth and elevation of (..., 3, R, W) unit vectors, rad."""
     x, y, z = np.moveaxis(directions.astype(np.float64), -3, 0)
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
 
 
-def turned(difference):
+def turned(difference: np.ndarray) -> np.ndarray:
     return (difference + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -92,7 +95,7 @@ def test_a_rosette_repeats_its_last_firing_too() -> None:
 
 
 @pytest.mark.parametrize("name", SPINNING)
-def test_no_ray_leaves_the_spread_of_its_column_and_ring(name) -> None:
+def test_no_ray_leaves_the_spread_of_its_column_and_ring(name: str) -> None:
     beams = beams_of(spec_of(name, subrays=8, columns=64, firing_s=(), angle_noise_deg=0.0), 0.0)
     azimuth, elevation = angles(beams.subray)
     rounding = 1e-6

@@ -1,32 +1,33 @@
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from sensors.optics.beams import beams_of
 from sensors.optics.livox import rosette_axes
 from sensors.presets import get_lidar
-from sensors.spec import Prism
+from sensors.spec import LidarSpec, Prism
 from sim.errors import SettingsError
 
 
-def thrown(spec, time_s):
+def thrown(spec: LidarSpec, time_s: ArrayLike) -> np.ndarray:
     """Degrees from the axis of the only line at some times."""
     azimuth, elevation = rosette_axes(spec, np.atleast_2d(time_s))
     return np.degrees(np.arccos(np.cos(azimuth) * np.cos(elevation)))
 
 
-def wedges(*prisms):
+def wedges(*prisms: Prism) -> LidarSpec:
     return msgspec.structs.replace(get_lidar("livox-mid-70"), prisms=prisms)
 
 
-def pattern(name, sweeps, first=0):
+def pattern(name: str, sweeps: int, first: int = 0) -> np.ndarray:
     """(3, N) directions of a run of sweeps."""
     spec = get_lidar(name)
     times = (first + np.arange(sweeps)) / spec.rate_hz
     return np.concatenate([beams_of(spec, t).axis.reshape(3, -1) for t in times], axis=1)
 
 
-def cells(directions, degrees=1.0):
+def cells(directions: np.ndarray, degrees: float = 1.0) -> set[tuple[int, ...]]:
     azimuth = np.degrees(np.arctan2(directions[1], directions[0]))
     elevation = np.degrees(np.arcsin(directions[2]))
     keys = np.stack([azimuth // degrees, elevation // degrees], axis=1).astype(int)

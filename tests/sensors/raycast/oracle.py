@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
-import pytest
 
 from sensors.optics.beams import BLOCK
 from sensors.optics.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE, UP
@@ -19,7 +19,7 @@ class Oracle:
 
     name = "oracle"
 
-    def cast(self, solid: Solid, origins, directions, reach) -> Hits:
+    def cast(self, solid: Solid, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> Hits:
         distance, face, cosine = first_hits(solid, origins.astype(float), directions.astype(float), reach.astype(float))
         return Hits(distance.astype(np.float32), face.astype(np.int32), cosine.astype(np.float32))
 
@@ -27,7 +27,9 @@ class Oracle:
         return [_sweep(static, bodies, request) for request in requests]
 
 
-def first_hits(solid: Solid, origins, directions, reach):
+def first_hits(
+    solid: Solid, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Möller and Trumbore, all rays and triangles at once."""
     distance, face, cosine = reach.copy(), np.full(len(reach), -1), np.zeros(len(reach))
     for row, (a, b, c) in enumerate(solid.vertices.astype(float)[solid.faces]):
@@ -54,17 +56,26 @@ def _sweep(static: Solid, bodies: Bodies, request: SweepRequest) -> Returns:
     for beam in range(len(ring)):
         rows += _beam(request, ring[beam], column[beam], pose[beam], [tuple(v[beam] for v in ray) for ray in seen])
     dtypes = (np.float32, np.float32, np.int16, np.int32, np.float32, np.int32, np.uint8, np.uint8, np.float32)
-    columns = list(zip(*rows, strict=True)) or [np.zeros((0, 3)), *[()] * (len(dtypes) - 1)]
+    columns: list[Any] = list(zip(*rows, strict=True)) or [np.zeros((0, 3)), *[()] * (len(dtypes) - 1)]
     return Returns(*(np.array(v, dtype) for v, dtype in zip(columns, dtypes, strict=True)))
 
 
-def _sensor(request: SweepRequest, column) -> np.ndarray:
+def _sensor(request: SweepRequest, column: np.ndarray) -> np.ndarray:
     block = np.minimum(column // BLOCK, len(request.knots) - 2).astype(int)
     share = (column / BLOCK - block)[:, None, None]
     return (1.0 - share) * request.knots[block] + share * request.knots[block + 1]
 
 
-def _seen(static, bodies, request: pytest.FixtureRequest, pose, time_s, ring, column, ray):
+def _seen(
+    static: Solid,
+    bodies: Bodies,
+    request: SweepRequest,
+    pose: np.ndarray,
+    time_s: np.ndarray,
+    ring: np.ndarray,
+    column: np.ndarray,
+    ray: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return distance (inf where nothing is), cosine, material and object of one sub-ray of all beams."""
     axis = request.beams.subray[ray, :, ring, column].astype(float)
     x, y, z = axis.T
@@ -97,11 +108,13 @@ def _seen(static, bodies, request: pytest.FixtureRequest, pose, time_s, ring, co
     return np.where(hit, distance, np.inf), cosine, material, object_id
 
 
-def _table(values, place: float) -> float:
+def _table(values: np.ndarray, place: float) -> float:
     return float(np.interp(place * (len(values) - 1), np.arange(len(values)), values))
 
 
-def _beam(request: SweepRequest, ring: int, column: int, pose, rays):
+def _beam(
+    request: SweepRequest, ring: int, column: int, pose: np.ndarray, rays: list[tuple[float, float, int, int]]
+) -> list[tuple]:
     """Return the rows of one beam from (distance, cosine, material, object) of its rays."""
     spec, optics, noise = request.spec, request.optics, request.noise
     share = 1.0 / len(rays)

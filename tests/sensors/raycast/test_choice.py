@@ -8,9 +8,11 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,11 +23,12 @@ from sensors.optics.beams import beams_of
 from sensors.optics.reflectance import optics_of
 from sensors.presets import get_lidar
 from sensors.raycast import choice, open_engine
-from sensors.raycast.base import EngineUnavailable
+from sensors.raycast.base import Bodies, EngineUnavailable, Returns, Solid, SweepRequest
 from sensors.raycast.fused import embree, selftest
 from sensors.raycast.fused import engine as fused
 from sensors.scan.lidar import Sensor, scan, scan_all
 from sensors.scan.scene import RayScene
+from sensors.sweep import Sweep
 from sim.errors import SettingsError
 from sim.geometry import pose_matrix
 from tests.paths import ROOT
@@ -34,7 +37,7 @@ from tests.sensors.fakes import box, box_body, cars, ground
 SENSOR = pose_matrix([0.0, 0.0, 1.9])
 
 
-def sweep_by(engine):
+def sweep_by(engine: str | None) -> tuple[str, Sweep]:
     scene = RayScene(ground() + box((8, 20, 9), (25.0, 0.0, 4.5)), body_mesh=box_body, engine=engine)
     scene = scene.with_bodies(cars([[9.0, 4.0, 0.4]], speed=7.0))
     return scene.engine.name, scan(scene, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
@@ -64,7 +67,7 @@ def not_loadable(monkeypatch: pytest.MonkeyPatch) -> None:
 def with_other_points(monkeypatch: pytest.MonkeyPatch) -> None:
     right = fused.FusedEngine.sweep
 
-    def wrong(*args):
+    def wrong(*args: Any) -> list[Returns]:
         return [replace(returns, points=returns.points + np.float32(0.01)) for returns in right(*args)]
 
     monkeypatch.setattr(fused.FusedEngine, "sweep", wrong)
@@ -80,7 +83,11 @@ FAULTS = {
 
 @pytest.mark.parametrize(("fault", "says"), FAULTS.items(), ids=lambda value: getattr(value, "__name__", ""))
 def test_where_the_fused_engine_cannot_run_the_public_one_makes_the_same_points(
-    untried, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, fault, says
+    untried: None,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    fault: Callable[[pytest.MonkeyPatch], None],
+    says: str,
 ) -> None:
     expected_name, expected = sweep_by("fused")
     assert expected_name == "fused"
@@ -101,7 +108,7 @@ def test_where_the_fused_engine_cannot_run_the_public_one_makes_the_same_points(
         np.testing.assert_array_equal(getattr(made, field), getattr(expected, field))
 
 
-def test_engines_that_work_pass_the_self_test(untried, caplog: pytest.LogCaptureFixture) -> None:
+def test_engines_that_work_pass_the_self_test(untried: None, caplog: pytest.LogCaptureFixture) -> None:
     assert open_engine().name == "fused"
     assert not caplog.messages
 
@@ -109,20 +116,20 @@ def test_engines_that_work_pass_the_self_test(untried, caplog: pytest.LogCapture
 class Faulty:
     """The public engine, but for a fault in what it is asked or in what it answers."""
 
-    def __init__(self, spec=None, answer=None) -> None:
+    def __init__(self, spec: dict[str, Any] | None = None, answer: Callable[[Returns], Returns] | None = None) -> None:
         self._spec = spec or {}
         self._answer = answer or (lambda returns: returns)
 
-    def sweep(self, static, bodies, requests, threads):
+    def sweep(self, static: Solid, bodies: Bodies, requests: Sequence[SweepRequest], threads: int) -> list[Returns]:
         made = open_engine("public").sweep(static, bodies, [self._changed(request) for request in requests], threads)
         return [self._answer(returns) for returns in made]
 
-    def _changed(self, request: pytest.FixtureRequest):
+    def _changed(self, request: SweepRequest) -> SweepRequest:
         spec = msgspec.structs.replace(request.spec, **self._spec)
         return replace(request, spec=spec, beams=beams_of(spec, 0.0), optics=optics_of(spec))
 
 
-def scaled(field, by):
+def scaled(field: str, by: float) -> Callable[[Returns], Returns]:
     return lambda returns: replace(
         returns, **{field: (getattr(returns, field) * by).astype(getattr(returns, field).dtype)}
     )
@@ -150,7 +157,7 @@ def scaled(field, by):
         Faulty(answer=lambda returns: replace(returns, points=returns.points[:, [1, 0, 2]])),
     ],
 )
-def test_an_engine_that_gets_one_thing_wrong_fails_the_self_test(fault) -> None:
+def test_an_engine_that_gets_one_thing_wrong_fails_the_self_test(fault: Faulty) -> None:
     with pytest.raises(EngineUnavailable, match="self-test failed"):
         selftest.self_test(fault, open_engine("public"))
 
@@ -160,7 +167,7 @@ CACHES = {"none": "NullCache", "writable": "FunctionCache"}
 
 
 @pytest.mark.parametrize("home", CACHES)
-def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp_path: Path, home) -> None:
+def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp_path: Path, home: str) -> None:
     """A regular file in place of each folder keeps even the superuser from writing there."""
     package = shutil.copytree(ROOT / "sensors", tmp_path / "sensors", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "sim", tmp_path / "sim", ignore=shutil.ignore_patterns("__pycache__"))
@@ -187,7 +194,7 @@ def test_an_interrupted_move_of_the_bodies_is_done_anew(monkeypatch: pytest.Monk
     expected = scan(here, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
     move = fused.place_bodies
 
-    def interrupted(*args) -> None:
+    def interrupted(*args: Any) -> None:
         move(*args)
         raise KeyboardInterrupt
 
@@ -208,7 +215,7 @@ def test_an_interrupted_sweep_keeps_its_lock_until_its_workers_have_stopped(monk
     make = fused._SweepTask.make
     begun, ended = [], []
 
-    def slowly(*args):
+    def slowly(*args: Any) -> Any:
         begun.append(threading.get_ident())
         time.sleep(0.3)
         ended.append(threading.get_ident())

@@ -6,15 +6,18 @@ import msgspec
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import ArrayLike
 
 from sensors.motion import Path
 from sensors.raycast import Solid, open_engine
+from sensors.raycast.base import Engine
 from sensors.scan.lidar import Sensor, scan_all
 from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec, Prism
-from sensors.sweep import POINT_FIELDS, STATIC
+from sensors.sweep import POINT_FIELDS, STATIC, Sweep
 from sim.geometry import pose_matrix
 from sim.mesh.materials import material_index
+from sim.traffic.base import Actors
 from tests.sensors.fakes import box, box_body, cars, ground
 from tests.sensors.raycast.oracle import Oracle
 
@@ -57,7 +60,7 @@ SPECS = {
 
 
 @pytest.fixture(params=ENGINES)
-def engine(request: pytest.FixtureRequest):
+def engine(request: pytest.FixtureRequest) -> Engine:
     return open_engine(request.param)
 
 
@@ -67,22 +70,24 @@ def town() -> trimesh.Trimesh:
     pane = box((0.1, 6.0, 4.0), (18.0, 0.0, 2.0), material_index("glass"))
     road = ground(90.0)
     road.face_attributes["material"][:] = material_index("asphalt")
-    return trimesh.util.concatenate([road, *walls, sign, pane])
+    mesh = trimesh.util.concatenate([road, *walls, sign, pane])
+    assert isinstance(mesh, trimesh.Trimesh)
+    return mesh
 
 
-def traffic():
+def traffic() -> tuple[Actors, ...]:
     """Cars that turn, speed up and brake within a sweep; one carries the sensor, one stands across its last column."""
-    rows = [[0.0, 0.0, 0.3], [7.0, 2.0, 0.2], [-8.0, 0.5, 3.0], [3.0, -9.0, 1.5], [14.0, 7.0, -2.0], [-20.0, 0.0, 0.1]]
-    rows = np.array(rows)
+    table = [[0.0, 0.0, 0.3], [7.0, 2.0, 0.2], [-8.0, 0.5, 3.0], [3.0, -9.0, 1.5], [14.0, 7.0, -2.0], [-20.0, 0.0, 0.1]]
+    rows = np.array(table)
     before, after = rows.copy(), rows.copy()
     before[:, 0] -= 1.5
     after[:, 0] += 2.5
     before[:, 2] += 0.1
     after[:, 2] += 0.15
-    return tuple(cars(table, time_s=t, speed=20.0) for table, t in ((rows, 3.0), (before, 2.93), (after, 3.06)))
+    return tuple(cars(at, time_s=t, speed=20.0) for at, t in ((rows, 3.0), (before, 2.93), (after, 3.06)))
 
 
-def scene_in(engine, static=None) -> RayScene:
+def scene_in(engine: Engine, static: trimesh.Trimesh | None = None) -> RayScene:
     scene = RayScene(town() if static is None else static, body_mesh=box_body)
     scene.engine = engine
     return scene.with_bodies(*traffic())
@@ -94,19 +99,19 @@ def sensor_of(spec: LidarSpec, seed: int = 0, rides_on: int | None = 1000) -> Se
     return Sensor(spec, Path.through(times, poses), 3.0, np.random.default_rng(seed), rides_on)
 
 
-def scan_in(engine, spec: LidarSpec, threads: int = 1):
+def scan_in(engine: Engine, spec: LidarSpec, threads: int = 1) -> Sweep:
     return scan_all(scene_in(engine), [sensor_of(spec)], threads=threads)[0]
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_an_engine_measures_what_the_definition_says(engine, name) -> None:
+def test_an_engine_measures_what_the_definition_says(engine: Engine, name: str) -> None:
     spec = msgspec.structs.replace(EIGHT, **SPECS[name])
     made, expected = scan_in(engine, spec), scan_in(Oracle(), spec)
     assert len(expected) > 0.1 * spec.rings * spec.columns
     assert len(set(expected.object_id.tolist())) >= 3
     assert 1000 not in made.object_id
 
-    def key(sweep):
+    def key(sweep: Sweep) -> np.ndarray:
         return (sweep.ring.astype(np.int64) * spec.columns + sweep.column) * 2 + sweep.return_number - 1
 
     keys, theirs = key(made), key(expected)
@@ -125,7 +130,7 @@ def test_an_engine_measures_what_the_definition_says(engine, name) -> None:
 
 @pytest.mark.parametrize("wide", [{"angle_noise_deg": 3.0}, {"subrays": 8, "divergence_rad": 0.1, "returns": "dual"}])
 def test_steep_beams_that_are_tilted_or_divided_meet_every_body(
-    engine, wide: dict[str, float] | dict[str, float | str]
+    engine: Engine, wide: dict[str, float] | dict[str, float | str]
 ) -> None:
     """Aside by 3 degrees is 17 degrees of azimuth for a beam that points 80 degrees down."""
     steep = {"elevation_deg": (-50.0, -60.0, -66.0, -70.0, -74.0, -77.0, -80.0, -82.0), "columns": 400}
@@ -135,7 +140,7 @@ def test_steep_beams_that_are_tilted_or_divided_meet_every_body(
     seen = []
     for each in (engine, Oracle()):
         scene = RayScene(ground(90.0), body_mesh=box_body)
-        scene.engine = each
+        scene.engine = each  # type: ignore[assignment]
         sensor = Sensor(spec, Path.through([-1.0, 1.0], [pose, pose]), 0.0, np.random.default_rng(0))
         sweep = scan_all(scene.with_bodies(actors), [sensor])[0]
         grid = np.zeros((spec.rings, spec.columns, 2), np.int64)
@@ -145,7 +150,7 @@ def test_steep_beams_that_are_tilted_or_divided_meet_every_body(
     assert (seen[0] != seen[1]).sum() <= 3
 
 
-def test_the_number_of_threads_and_of_sensors_changes_no_byte(engine) -> None:
+def test_the_number_of_threads_and_of_sensors_changes_no_byte(engine: Engine) -> None:
     spec = msgspec.structs.replace(EIGHT, columns=3000, subrays=4, divergence_rad=0.02, returns="dual")
     plain = msgspec.structs.replace(EIGHT, columns=9000)
     sensors = [lambda: sensor_of(spec), lambda: sensor_of(plain, 1), lambda: sensor_of(spec, 2, None)]
@@ -156,7 +161,7 @@ def test_the_number_of_threads_and_of_sensors_changes_no_byte(engine) -> None:
             assert len({getattr(sweep, field).tobytes() for sweep in sweeps}) == 1
 
 
-def test_bodies_that_move_equal_bodies_baked_into_the_world(engine) -> None:
+def test_bodies_that_move_equal_bodies_baked_into_the_world(engine: Engine) -> None:
     rng = np.random.default_rng(3)
     rows = np.column_stack([rng.uniform(-40, 40, (30, 2)), rng.uniform(-3, 3, 30)])
     actors = cars(rows[np.hypot(rows[:, 0], rows[:, 1]) > 4.0])
@@ -178,7 +183,7 @@ def test_bodies_that_move_equal_bodies_baked_into_the_world(engine) -> None:
     assert len(np.unique(a.object_id)) > 15
 
 
-def test_a_sensor_above_a_body_sees_it_all_around(engine) -> None:
+def test_a_sensor_above_a_body_sees_it_all_around(engine: Engine) -> None:
     scene = RayScene(box((200, 200, 0.1)), body_mesh=box_body)
     scene.engine = engine
     scene = scene.with_bodies(cars([[0.0, 0.0, 0.3]], size=(12.0, 6.0, 3.0)))
@@ -190,7 +195,7 @@ def test_a_sensor_above_a_body_sees_it_all_around(engine) -> None:
     assert (sweep.object_id[low] == 1000).all()
 
 
-def test_a_body_of_the_same_shape_is_met_where_each_of_them_is(engine) -> None:
+def test_a_body_of_the_same_shape_is_met_where_each_of_them_is(engine: Engine) -> None:
     """Two cars share one solid."""
     spec = msgspec.structs.replace(EIGHT, columns=720)
     scene = RayScene(ground(), body_mesh=box_body)
@@ -209,12 +214,12 @@ def solid_of(mesh: trimesh.Trimesh) -> Solid:
     return Solid(mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), np.zeros(len(mesh.faces), np.uint8))
 
 
-def rays(directions):
+def rays(directions: ArrayLike) -> np.ndarray:
     directions = np.asarray(directions, np.float64)
     return (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).astype(np.float32)
 
 
-def test_distances_to_a_box_from_inside_are_exact(engine) -> None:
+def test_distances_to_a_box_from_inside_are_exact(engine: Engine) -> None:
     mesh = trimesh.creation.box((4.0, 6.0, 8.0))
     directions = rays([[1, 0, 0], [0, 1, 0], [0, 0, -1]])
     hits = engine.cast(solid_of(mesh), np.zeros((3, 3), np.float32), directions, np.full(3, 99.0, np.float32))
@@ -223,7 +228,7 @@ def test_distances_to_a_box_from_inside_are_exact(engine) -> None:
     np.testing.assert_allclose(mesh.face_normals[hits.face], -directions * [-1, -1, -1], atol=1e-6)
 
 
-def test_rays_aimed_at_shared_edges_never_leak(engine) -> None:
+def test_rays_aimed_at_shared_edges_never_leak(engine: Engine) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
     ends = mesh.vertices[mesh.edges_unique]
     share = np.linspace(0.1, 0.9, 9)[:, None, None]
@@ -233,7 +238,7 @@ def test_rays_aimed_at_shared_edges_never_leak(engine) -> None:
     assert (hits.face >= 0).all()
 
 
-def test_reach_ends_a_ray_and_is_not_changed(engine) -> None:
+def test_reach_ends_a_ray_and_is_not_changed(engine: Engine) -> None:
     reach = np.array([4.0, 6.0], np.float32)
     directions = rays([[1, 0, 0], [1, 0, 0]])
     hits = engine.cast(solid_of(trimesh.creation.box((10.0,) * 3)), np.zeros((2, 3), np.float32), directions, reach)
@@ -243,7 +248,7 @@ def test_reach_ends_a_ray_and_is_not_changed(engine) -> None:
     assert hits.cosine[0] == 0.0
 
 
-def test_zero_and_nan_directions_miss(engine) -> None:
+def test_zero_and_nan_directions_miss(engine: Engine) -> None:
     directions = np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [1.0, 0.0, 0.0]], np.float32)
     reach = np.full(3, 9.0, np.float32)
     hits = engine.cast(solid_of(trimesh.creation.box((4.0,) * 3)), np.zeros((3, 3), np.float32), directions, reach)
@@ -251,7 +256,7 @@ def test_zero_and_nan_directions_miss(engine) -> None:
     assert hits.distance.tolist() == [9.0, 9.0, 2.0]
 
 
-def test_no_triangles_and_no_rays_are_legal(engine) -> None:
+def test_no_triangles_and_no_rays_are_legal(engine: Engine) -> None:
     empty = Solid(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8))
     hits = engine.cast(empty, np.zeros((1, 3), np.float32), rays([[1, 0, 0]]), np.ones(1, np.float32))
     assert hits.face.tolist() == [-1]
@@ -259,7 +264,7 @@ def test_no_triangles_and_no_rays_are_legal(engine) -> None:
     assert len(engine.cast(empty, none, none, np.zeros(0, np.float32)).distance) == 0
 
 
-def test_a_solid_is_known_by_identity(engine) -> None:
+def test_a_solid_is_known_by_identity(engine: Engine) -> None:
     """A solid that takes the place of another one in memory is not taken for it."""
     directions, origin, reach = rays([[1, 0, 0]]), np.zeros((1, 3), np.float32), np.full(1, 99.0, np.float32)
     for side in range(2, 30):
@@ -267,7 +272,7 @@ def test_a_solid_is_known_by_identity(engine) -> None:
         assert hits.distance[0] == side / 2
 
 
-def test_a_world_without_triangles_holds_its_bodies(engine) -> None:
+def test_a_world_without_triangles_holds_its_bodies(engine: Engine) -> None:
     scene = RayScene(None, body_mesh=box_body)
     scene.engine = engine
     sweep = scan_all(scene.with_bodies(*traffic()), [replace(sensor_of(EIGHT), rides_on=None)])[0]

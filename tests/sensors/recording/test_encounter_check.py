@@ -9,6 +9,7 @@ from sensors.recording.encounter_check import (
     EGO_ID,
     LATENCY_S,
     UNSEEN_POINTS,
+    Proof,
     find_encounter,
     prove_encounter,
     with_proven_encounter,
@@ -25,7 +26,7 @@ from tests.sim.encounters.test_encounters import encounter
 SEED = 1
 
 
-def control_of(kind: str, control: str, seed: int):
+def control_of(kind: str, control: str, seed: int) -> Proof | None:
     return find_encounter(encounter(kind, control=control), seed).control
 
 

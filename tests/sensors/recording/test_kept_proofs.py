@@ -50,6 +50,7 @@ def test_a_control_takes_the_draw_of_its_encounter(empty_cache: Path, monkeypatc
     draw = with_proven_encounter(eebl(), SEED).conflict.draw
     monkeypatch.setattr(encounter_check, "prove_encounter", not_again)
     bare = eebl(":no_occluder")
+    assert bare.conflict is not None
     expected = with_encounter(replace(bare, conflict=replace(bare.conflict, draw=draw)), SEED)
     assert with_proven_encounter(bare, SEED) == expected
 

@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from tests.sensors.fakes import box, ground, scene_of
 from tests.sim.world.hills import hilly_scenario, lane_points
 
 
-def unit(x, y, z=5.0, **changes):
+def unit(x: float, y: float, z: float = 5.0, **changes: Any) -> RoadsideUnit:
     return RoadsideUnit(xyz_m=(x, y, z), lidar="debug-16", **changes)
 
 

@@ -1,21 +1,25 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
 from sensors.presets import get_lidar
 from sensors.recording.agent_selection import choose_agents
 from sensors.recording.mounting import mount, place_roadside
-from sensors.recording.record import record
+from sensors.recording.record import Recording, record
 from sensors.recording.rig import TRUTH_RANGE_M
 from sensors.sweep import POINT_FIELDS
 from sim.errors import ScenarioError, SettingsError
-from sim.scenario import NetworkSpec, RoadsideUnit
+from sim.scenario import NetworkSpec, RoadsideUnit, Scenario
 from tests.sensors.fakes import StraightTraffic, box, box_body, cars, ground, scene_of, toy_scenario
 
 ROWS = [[0, 0, 0], [12, 3.5, 0], [-15, -3.5, np.pi], [60, 0, 0], [300, 0, 0]]
 UNIT = RoadsideUnit(xyz_m=(20.0, 8.0, 5.0), yaw_deg=-90.0, pitch_deg=15.0, lidar="debug-16")
 
 
-def recording_of(frames=3, seed=1, gone_at=None, scenario=None, **more):
+def recording_of(
+    frames: int = 3, seed: int = 1, gone_at: dict[int, int] | None = None, scenario: Scenario | None = None, **more: Any
+) -> Recording:
     traffic = StraightTraffic(cars(ROWS, speed=10.0), gone_at=gone_at)
     scenario = scenario or toy_scenario(roadside=(UNIT,))
     return record(traffic, ground(1000.0), scenario, seed, frames, body_mesh=box_body, **more)
@@ -77,7 +81,7 @@ def test_a_frame_does_not_depend_on_the_frames_before_it() -> None:
         ({"roadside": (UNIT, RoadsideUnit(xyz_m=(0.0, 0.0, 5.0), lidar="debug16"))}, r"agents\.roadside\[1\]\.lidar"),
     ],
 )
-def test_an_unknown_sensor_is_reported_with_its_field(rule, field: str) -> None:
+def test_an_unknown_sensor_is_reported_with_its_field(rule: dict[str, Any], field: str) -> None:
     with pytest.raises(ScenarioError, match=rf"toy: {field}: expected a LiDAR preset, found debug16; .*'debug-16'"):
         recording_of(scenario=toy_scenario(**rule))
 
@@ -136,7 +140,7 @@ def test_a_roadside_unit_inside_a_building_is_warned_about(caplog: pytest.LogCap
 
 
 @pytest.mark.parametrize(("frames", "interval_s"), [(0, 0.1), (2, 0.15), (2, float("nan")), (2, float("inf"))])
-def test_impossible_frames_and_intervals_are_refused(frames: int, interval_s) -> None:
+def test_impossible_frames_and_intervals_are_refused(frames: int, interval_s: float) -> None:
     with pytest.raises(SettingsError):
         recording_of(frames=frames, interval_s=interval_s)
 

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from sensors.frame import Frame
 from sensors.recording.agent_selection import nearest_agents
 from sensors.recording.record import record
 from sensors.recording.rig import Rig
@@ -19,7 +20,7 @@ UNIT = RoadsideUnit(xyz_m=(20.0, 8.0, 5.0), yaw_deg=-90.0, pitch_deg=15.0, lidar
 ROWS = [[0, 0, 0], [12, 3.5, 0], [-15, -3.5, 0.5], [30, 0, 0], [50, 0, 0]]
 
 
-def same_sweeps(first, second) -> bool:
+def same_sweeps(first: Frame, second: Frame) -> bool:
     return all(
         getattr(a.sweep, name).tobytes() == getattr(b.sweep, name).tobytes()
         for a, b in zip(first.agents, second.agents, strict=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import trimesh
 
 import sensors.recording.scenario_check as module
 from sensors.recording.scenario_check import check_scenario
@@ -78,9 +79,7 @@ def test_traffic_that_differs_from_run_to_run_is_named(monkeypatch: pytest.Monke
         check_scenario("four_way")
 
 
-def _plane():
-    import trimesh
-
+def _plane() -> trimesh.Trimesh:
     plane = trimesh.creation.box((600.0, 600.0, 0.2))
     plane.apply_translation((0.0, 0.0, -0.1))
     plane.face_attributes["material"] = np.zeros(len(plane.faces), np.uint8)

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
+import trimesh
 
 from sensors.recording.encounter_check import find_encounter
 from sensors.recording.static_scene import static_scene
 from sim.catalog.load import load_scenario
+from sim.scenario import Scenario
 from tests.sensors.fakes import ground, toy_scenario
 
 
@@ -16,7 +18,7 @@ def built(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Seeds of the worlds that were built."""
     seeds: list[int] = []
 
-    def build(scenario, seed):
+    def build(scenario: Scenario, seed: int) -> trimesh.Trimesh:
         seeds.append(seed)
         return ground()
 

@@ -8,12 +8,12 @@ ALL_AROUND = np.linspace(-np.pi, np.pi, 3600, endpoint=False)
 RINGS = np.linspace(1.5, -1.5, 3000)
 
 
-def columns_in(arcs: Arcs, azimuth, spread=0.0) -> set[int]:
+def columns_in(arcs: Arcs, azimuth: np.ndarray, spread: float = 0.0) -> set[int]:
     return {int(c) for _, first, after in zip(*arcs.columns(azimuth, spread), strict=True) for c in range(first, after)}
 
 
 @pytest.mark.parametrize("azimuth", [ALL_AROUND, ALL_AROUND[::-1], ALL_AROUND[900:2700], ALL_AROUND + 2.0])
-def test_windows_hold_every_point_of_random_boxes(azimuth) -> None:
+def test_windows_hold_every_point_of_random_boxes(azimuth: np.ndarray) -> None:
     rng = np.random.default_rng(0)
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
     for _ in range(50):

@@ -1,3 +1,5 @@
+from typing import Any
+
 import msgspec
 import numpy as np
 import pytest
@@ -5,7 +7,9 @@ import pytest
 from sensors.optics.reflectance import drop_chance
 from sensors.presets import get_lidar
 from sensors.scan.lidar import scan
-from sensors.sweep import POINT_FIELDS, STATIC
+from sensors.scan.scene import RayScene
+from sensors.spec import LidarSpec
+from sensors.sweep import POINT_FIELDS, STATIC, Sweep
 from sim.geometry import pose_matrix
 from sim.mesh.materials import MATERIALS, material_index
 from tests.sensors.fakes import BRIGHT, box, cars, ground, ideal, scene_of
@@ -13,7 +17,7 @@ from tests.sensors.fakes import BRIGHT, box, cars, ground, ideal, scene_of
 SENSOR = pose_matrix([0.0, 0.0, 1.9])
 
 
-def sweep_of(scene, spec, pose=SENSOR, seed=0, **more):
+def sweep_of(scene: RayScene, spec: LidarSpec, pose: np.ndarray = SENSOR, seed: int = 0, **more: Any) -> Sweep:
     return scan(scene, spec, pose, pose, 0.0, np.random.default_rng(seed), **more)
 
 

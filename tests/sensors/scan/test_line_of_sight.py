@@ -1,8 +1,12 @@
 """Antennas see each other unless a vehicle or a building is between them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
+from sensors.frame import Frame
 from sensors.recording.rig import Rig
 from sensors.scan.line_of_sight import lines_of_sight
 from sensors.scan.scene import RayScene
@@ -12,7 +16,9 @@ from tests.sensors.fakes import box, box_body, cars, ground, toy_scenario
 WALL = box((1.0, 30.0, 8.0), (0.0, 40.0, 4.0))
 
 
-def frame_of(rows, agents, world=None, tall=()):
+def frame_of(
+    rows: ArrayLike, agents: Sequence[int], world: trimesh.Trimesh | None = None, tall: Sequence[int] = ()
+) -> tuple[Frame, RayScene]:
     scene = RayScene(world if world is not None else ground(), body_mesh=box_body)
     actors = cars(rows)
     for row in tall:

@@ -24,7 +24,7 @@ def test_a_far_world_origin_costs_no_precision() -> None:
 def test_one_body_is_built_once() -> None:
     calls = []
 
-    def body(model, size):
+    def body(model: str, size: tuple[float, float, float]) -> trimesh.Trimesh:
         calls.append(model)
         return box_body(model, size)
 

@@ -1,18 +1,22 @@
 import gc
 import weakref
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay
 
 from sensors.motion import Path
+from sensors.raycast.base import Solid
 from sensors.scan import static_world as tiles
 from sensors.scan.lidar import Sensor, scan, scan_all
 from sensors.scan.scene import RayScene, mesh_arrays
 from sensors.scan.static_world import TILE_M, StaticWorld, together
+from sensors.sweep import Sweep
 from sim.errors import DataError
 from sim.geometry import pose_matrix
 from tests.sensors.fakes import box, box_body, cars, ground, ideal, painted, scene_of
@@ -26,7 +30,7 @@ def cut_small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tiles, "WHOLE_FACES", 0)
 
 
-def town(size=1600.0, houses=300, offset=(0.0, 0.0, 0.0)):
+def town(size: float = 1600.0, houses: int = 300, offset: ArrayLike = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
     """Houses of all sizes on a wide plain, and hangars across several tiles."""
     rng = np.random.default_rng(5)
     parts = [ground(4.0 * size)]
@@ -40,18 +44,21 @@ def town(size=1600.0, houses=300, offset=(0.0, 0.0, 0.0)):
     return mesh
 
 
-def stacked(parts):
+def stacked(parts: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     mesh = trimesh.util.concatenate(parts)
+    assert isinstance(mesh, trimesh.Trimesh)
     mesh.face_attributes["material"] = np.concatenate([part.face_attributes["material"] for part in parts])
     return mesh
 
 
-def sweep_at(scene, x, y, z=2.0, offset=(0.0, 0.0, 0.0), **changes):
+def sweep_at(
+    scene: RayScene, x: float, y: float, z: float = 2.0, offset: ArrayLike = (0.0, 0.0, 0.0), **changes: Any
+) -> Sweep:
     pose = pose_matrix(np.array([x, y, z]) + offset, 0.3, 0.01)
     return scan(scene, ideal(range_max_m=REACH_M, **changes), pose, pose, 0.0, np.random.default_rng(0))
 
 
-def assert_same(one, other) -> None:
+def assert_same(one: Sweep, other: Sweep) -> None:
     np.testing.assert_array_equal(one.ring, other.ring)
     np.testing.assert_array_equal(one.column, other.column)
     np.testing.assert_array_equal(one.object_id, other.object_id)
@@ -61,11 +68,11 @@ def assert_same(one, other) -> None:
     assert error[one.cosine > 0.1].max() < 1e-4 and error.max() < 1e-3
 
 
-def world_of(mesh):
+def world_of(mesh: trimesh.Trimesh) -> StaticWorld:
     return StaticWorld(*mesh_arrays(mesh, "static world"))
 
 
-def corners(solid):
+def corners(solid: Solid) -> np.ndarray:
     return solid.vertices[solid.faces].astype(np.float64) + solid.origin
 
 
@@ -73,7 +80,9 @@ PLACES = [(0.0, 0.0), (TILE_M, -TILE_M), (-777.0, 703.0), (124.9, 249.95), (2300
 
 
 @pytest.mark.parametrize(("x", "y"), PLACES)
-def test_a_sweep_through_tiles_equals_one_through_the_whole(monkeypatch: pytest.MonkeyPatch, x, y) -> None:
+def test_a_sweep_through_tiles_equals_one_through_the_whole(
+    monkeypatch: pytest.MonkeyPatch, x: float, y: float
+) -> None:
     mesh, traffic = town(), cars([[x + 9.0, y, 0.4], [x, y - 6.0, 2.0]])
     # The whole is exact near its middle only: far stones put that where the sensor is.
     stones = [box((1.0, 1.0, 1.0), (x + away, y + away, -50.0)) for away in (-9000.0, 9000.0)]
@@ -86,7 +95,7 @@ def test_a_sweep_through_tiles_equals_one_through_the_whole(monkeypatch: pytest.
     assert_same(sweep, sweep_at(whole, x, y))
 
 
-def test_a_tiled_world_500_km_away_gives_the_same_sweep(cut_small) -> None:
+def test_a_tiled_world_500_km_away_gives_the_same_sweep(cut_small: None) -> None:
     offset = np.array([481_234.5, 5_703_210.75, 512.0])
     there = cars([[9.0, 4.0, 0.4]])
     there.boxes.center[:] += offset
@@ -95,7 +104,7 @@ def test_a_tiled_world_500_km_away_gives_the_same_sweep(cut_small) -> None:
     assert_same(sweep_at(far, 3.0, 1.0, offset=offset), sweep_at(near, 3.0, 1.0))
 
 
-def test_the_tiles_in_use_depend_on_the_places_alone(cut_small) -> None:
+def test_the_tiles_in_use_depend_on_the_places_alone(cut_small: None) -> None:
     mesh = town(houses=60)
     places = np.array([[10.0, 20.0], [480.0, -333.0]])
     fresh, used = world_of(mesh), world_of(mesh)
@@ -106,7 +115,7 @@ def test_the_tiles_in_use_depend_on_the_places_alone(cut_small) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_the_same_solid_serves_while_the_sensors_stay_in_their_tiles(cut_small) -> None:
+def test_the_same_solid_serves_while_the_sensors_stay_in_their_tiles(cut_small: None) -> None:
     world = world_of(town(houses=60))
     solid = world.around(np.array([[1.0, 1.0], [300.0, 1.0]]), REACH_M)
     assert world.around(np.array([[2.0, 249.0], [499.0, 30.0]]), REACH_M) is solid
@@ -121,7 +130,7 @@ def test_a_small_world_is_one_solid_wherever_its_sensors_are() -> None:
     assert len(world.around(np.array([[80_000.0, 0.0]]), REACH_M).faces) == 0
 
 
-def test_unused_solids_are_dropped(cut_small) -> None:
+def test_unused_solids_are_dropped(cut_small: None) -> None:
     world = world_of(town(houses=60))
     old = weakref.ref(world.around(np.zeros((1, 2)), REACH_M))
     assert old() is not None
@@ -131,7 +140,7 @@ def test_unused_solids_are_dropped(cut_small) -> None:
     assert old() is None
 
 
-def test_the_origin_is_near_the_sensors_and_few_triangles_are_far(cut_small) -> None:
+def test_the_origin_is_near_the_sensors_and_few_triangles_are_far(cut_small: None) -> None:
     mesh = town(offset=(90_000.0, 0.0, 300.0))
     solid = world_of(mesh).around(np.array([[90_100.0, 50.0]]), REACH_M)
     assert np.abs(solid.origin[:2] - [90_100.0, 50.0]).max() <= TILE_M
@@ -139,7 +148,7 @@ def test_the_origin_is_near_the_sensors_and_few_triangles_are_far(cut_small) -> 
     assert 0 < len(solid.faces) < 0.4 * len(mesh.faces)
 
 
-def test_tiles_meet_without_a_seam(cut_small) -> None:
+def test_tiles_meet_without_a_seam(cut_small: None) -> None:
     rng = np.random.default_rng(2)
     x, y = np.meshgrid(np.linspace(-400.0, 400.0, 60), np.linspace(-400.0, 400.0, 60))
     places = (
@@ -263,7 +272,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize(("mesh", "found"), BROKEN.values(), ids=BROKEN)
-def test_a_broken_mesh_is_refused_as_world_and_as_body(mesh, found) -> None:
+def test_a_broken_mesh_is_refused_as_world_and_as_body(mesh: trimesh.Trimesh, found: str) -> None:
     with pytest.raises(DataError, match=f"static world: {found}"):
         RayScene(mesh)
     scene = RayScene(None, body_mesh=lambda model, size: mesh)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -39,7 +40,16 @@ FINE = LidarSpec(
 )
 
 
-def sensor_at(x=0.0, y=0.0, *, spec=FINE, yaw=0.0, speed=(0.0, 0.0), seed=0, rides_on=None) -> Sensor:
+def sensor_at(
+    x: float = 0.0,
+    y: float = 0.0,
+    *,
+    spec: LidarSpec = FINE,
+    yaw: float = 0.0,
+    speed: tuple[float, float] = (0.0, 0.0),
+    seed: int = 0,
+    rides_on: int | None = None,
+) -> Sensor:
     moved = np.array([[-0.05, 0, 0], [0.05, 0, 0]])[:, :1] * np.array([*speed, 0.0])
     poses = pose_matrix(np.array([x, y, HEIGHT_M]) + moved, np.full(2, yaw))
     return Sensor(spec, Path.through(np.array([-0.05, 0.05]), poses), 0.0, np.random.default_rng(seed), rides_on)
@@ -51,7 +61,7 @@ def fractions(scene: RayScene, sensor: Sensor | None = None) -> np.ndarray:
 
 @pytest.mark.parametrize("spec", [FINE, ideal("debug-16"), ideal("livox-avia")])
 @pytest.mark.parametrize("world", [None, ground()])
-def test_an_object_alone_is_seen_wholly(world, spec) -> None:
+def test_an_object_alone_is_seen_wholly(world: trimesh.Trimesh | None, spec: LidarSpec) -> None:
     scene = scene_of(world, cars([[12.0, 1.0, 0.4]], speed=12.0))
     assert fractions(scene, sensor_at(spec=spec)).tolist() == [1.0]
 
@@ -118,10 +128,12 @@ places = st.tuples(st.floats(-25, 25), st.floats(-25, 25), st.floats(-3.1, 3.1))
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(places, min_size=1, max_size=6), places, st.tuples(st.floats(-20, 20), st.floats(-20, 20)))
-def test_fractions_are_shares_and_another_occluder_never_raises_one(rows, newcomer, post: tuple[float, float]) -> None:
+def test_fractions_are_shares_and_another_occluder_never_raises_one(
+    rows: list[list[float]], newcomer: list[float], post: tuple[float, float]
+) -> None:
     calm = ideal("debug-16", columns=900)
 
-    def of(rows, static):
+    def of(rows: list[list[float]], static: trimesh.Trimesh) -> np.ndarray:
         return fractions(scene_of(static, cars(rows)), sensor_at(spec=calm))[: len(rows)]
 
     before = of(rows, None)

@@ -25,7 +25,7 @@ def test_every_class_has_a_model() -> None:
 
 
 @pytest.mark.parametrize(("name", "model"), ALL)
-def test_a_mesh_is_as_large_as_its_box(name, model) -> None:
+def test_a_mesh_is_as_large_as_its_box(name: str, model: str) -> None:
     mesh = body_mesh(model, SIZE[name])
     length, width, height = SIZE[name]
     for vertices in (mesh.vertices, mesh.vertices.astype(np.float32)):
@@ -35,7 +35,7 @@ def test_a_mesh_is_as_large_as_its_box(name, model) -> None:
 
 
 @pytest.mark.parametrize(("name", "model"), ALL)
-def test_every_face_has_a_known_material(name, model) -> None:
+def test_every_face_has_a_known_material(name: str, model: str) -> None:
     mesh = body_mesh(model, SIZE[name])
     material = mesh.face_attributes["material"]
     assert material.dtype == np.uint8 and material.shape == (len(mesh.faces),)
@@ -43,7 +43,7 @@ def test_every_face_has_a_known_material(name, model) -> None:
 
 
 @pytest.mark.parametrize(("name", "model"), OWN)
-def test_own_meshes_are_closed_parts_that_face_outwards(name, model) -> None:
+def test_own_meshes_are_closed_parts_that_face_outwards(name: str, model: str) -> None:
     mesh = body_mesh(model, SIZE[name])
     parts = trimesh.graph.connected_components(mesh.edges, nodes=np.arange(len(mesh.vertices)))
     assert len(parts) > 5

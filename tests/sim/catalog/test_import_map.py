@@ -5,6 +5,7 @@ import gzip
 import struct
 import subprocess
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -167,7 +168,9 @@ def test_one_map_makes_the_same_bytes_every_time(folder: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(("ending", "pack"), [(".osm.gz", gzip.compress), (".osm.bz2", bz2.compress)])
-def test_a_packed_extract_is_the_same_map(folder: Path, tmp_path: Path, ending: str, pack) -> None:
+def test_a_packed_extract_is_the_same_map(
+    folder: Path, tmp_path: Path, ending: str, pack: Callable[[bytes], bytes]
+) -> None:
     source = tmp_path / f"town{ending}"
     source.write_bytes(pack(town().encode()))
     made = import_map(source, out=tmp_path / "made")

@@ -1,5 +1,7 @@
 """Background traffic: more vehicles, off the conflict, that touch nobody and stop for an ego that stops."""
 
+from typing import Any
+
 import msgspec
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from tests.sim.encounters.test_encounters import encounter
 SEED = 1
 
 
-def names(kind: str, **conflict) -> list[str]:
+def names(kind: str, **conflict: Any) -> list[str]:
     layout = encounter_of(encounter(kind, **conflict), SEED).layout
     return [one.name for one in layout.actors if one.name.startswith("traffic_")]
 

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,7 +22,7 @@ from sim.world.roads.streets import read_streets
 from tests.paths import ROOT
 
 
-def encounter(kind: str, **conflict) -> Scenario:
+def encounter(kind: str, **conflict: Any) -> Scenario:
     spec = EncounterSpec(kind=kind, **conflict)
     return Scenario(name=kind, description="", agents=AgentRule(), conflict=spec, warmup_s=0.0, duration_s=12.0)
 

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 import shapely
 
-from sim.mesh.solids import box, carpet, ellipsoid, fit, join, move, prism, ring, slab, strip, to_mesh, tube
+from sim.mesh.solids import MeshPart, box, carpet, ellipsoid, fit, join, move, prism, ring, slab, strip, to_mesh, tube
 
 
-def level(xy):
+def level(xy: np.ndarray) -> np.ndarray:
     return np.zeros(len(xy))
 
 
-def slope(xy):
+def slope(xy: np.ndarray) -> np.ndarray:
     return 0.1 * xy[:, 0]
 
 
@@ -25,7 +25,7 @@ def slope(xy):
     ],
     ids=["box", "prism", "slanted tube", "upright tube", "ellipsoid", "ring"],
 )
-def test_solids_are_closed_and_face_outwards(solid) -> None:
+def test_solids_are_closed_and_face_outwards(solid: MeshPart) -> None:
     mesh = to_mesh(solid)
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
 

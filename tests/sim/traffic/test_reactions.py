@@ -68,7 +68,8 @@ def crossing_body(attention: Attention) -> tuple[list[float], list[float]]:
     """A car at full speed in SUMO, and another placed across its lane 28 m ahead: speeds before and at the overlap."""
     with SumoTraffic(quick("four_way", 30.0), 1, attention) as traffic:
         car, body, place, yaw = _crossing(traffic)
-        clear, through = [], []
+        clear: list[float] = []
+        through: list[float] = []
         for _ in range(50):
             traffic.place(body, place, yaw, 0.0)
             now = traffic.step()

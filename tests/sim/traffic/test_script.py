@@ -1,6 +1,7 @@
 """Scripted traffic: bodies move as bodies can, and those that are driven or in the way react."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from sim.collisions import overlapping_pairs
 from sim.encounters import ENCOUNTERS, encounter_of
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
-from sim.traffic.base import SIGNALS
+from sim.traffic.base import SIGNALS, Actors
 from sim.traffic.open import open_traffic
 from sim.traffic.script import FIRST_ID, ScriptedTraffic
 from tests.sim.encounters.test_encounters import encounter
@@ -18,7 +19,7 @@ EGO, CONFLICT = FIRST_ID, FIRST_ID + 1
 SEED, STEP = 2, 0.1
 
 
-def rollout(kind: str, seconds: float = 11.0, **conflict):
+def rollout(kind: str, seconds: float = 11.0, **conflict: Any) -> tuple[list[Actors], list[tuple[float, str, str]]]:
     with ScriptedTraffic(encounter(kind, **conflict), SEED) as traffic:
         steps = [traffic.actors]
         while traffic.time_s < seconds - 1e-6:

@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 
 from sim.catalog.load import load_scenario
+from sim.roads.network import Network
 from sim.roads.tools import sumo_home
 from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit, Scenario
 
@@ -21,7 +22,7 @@ def hilly_scenario(folder: Path, units: tuple[RoadsideUnit, ...] = ()) -> Scenar
     edges = "".join(
         f'<edge id="{p}{q}" from="{p}" to="{q}" numLanes="2" speed="13.9" sidewalkWidth="2"/>'
         for way in _WAYS
-        for p, q in (way, way[::-1])
+        for p, q in (tuple(way), tuple(way[::-1]))
     )
     (folder / "n.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
     (folder / "n.edg.xml").write_text(f"<edges>{edges}</edges>")
@@ -31,7 +32,7 @@ def hilly_scenario(folder: Path, units: tuple[RoadsideUnit, ...] = ()) -> Scenar
     return msgspec.structs.replace(load_scenario("four_way"), network=network, agents=AgentRule(roadside=units))
 
 
-def lane_points(net) -> np.ndarray:
+def lane_points(net: Network) -> np.ndarray:
     """Return (N, 3) points along the middles of all lanes of edges but their last metres."""
     lines = [shapely.LineString(lane.getShape3D()) for edge in net.getEdges(False) for lane in edge.getLanes()]
     places = [shapely.line_interpolate_point(line, np.linspace(1.0, line.length - 1.0, 81)) for line in lines]

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import trimesh
 
 from sensors.scan.scene import RayScene
 from sim.catalog.load import load_scenario
@@ -15,7 +16,7 @@ PLACES = ("merge", "roundabout", "intersection", "racetrack", "two_way")
 
 
 @cache
-def world_of(name: str):
+def world_of(name: str) -> trimesh.Trimesh:
     return build_world(load_scenario(f"highway_env_{name}"), 2)
 
 

@@ -1,4 +1,5 @@
 import subprocess
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -6,8 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
+import trimesh
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
+from numpy.typing import ArrayLike
 
 from sensors.recording.mounting import blocked_share, place_roadside
 from sensors.scan.scene import RayScene
@@ -18,7 +21,7 @@ from sim.roads.networks import read_network, resolve_network
 from sim.roads.tools import sumo_home
 from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit
 from sim.world.build import MARGIN_M, build_world
-from sim.world.roads.streets import read_streets
+from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.surfaces import pavement
 from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand
 
@@ -28,12 +31,15 @@ OF_SUMO = [name for name in list_scenarios() if not load_scenario(name).network.
 NAMES = [name for name in OF_SUMO if name not in PLACES or name in ("braunschweig", "four_way", "helsinki", "highway")]
 TOWNS = [name for name in NAMES if name in PLACES and name not in MOTORWAYS]
 
+Worlds = Callable[[str], tuple[trimesh.Trimesh, Streets]]
+"""World and streets of a scenario by its name."""
+
 
 @pytest.fixture(scope="module")
-def worlds():
+def worlds() -> Worlds:
     made = {}
 
-    def of(name):
+    def of(name: str) -> tuple[trimesh.Trimesh, Streets]:
         if name not in made:
             scenario = with_encounter(at_hand(name), 1)
             streets = read_streets(read_network(network_file(scenario, 1)), scenario.network.area_m, MARGIN_M)
@@ -43,7 +49,7 @@ def worlds():
     return of
 
 
-def look(mesh, origin, direction):
+def look(mesh: trimesh.Trimesh, origin: ArrayLike, direction: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Return (N,) distance (inf: nothing) and (N,) face of rays in the world."""
     middle = np.round(mesh.bounds.mean(axis=0))
     scene = rtcore_scene.EmbreeScene()
@@ -53,7 +59,7 @@ def look(mesh, origin, direction):
     return np.where(hits["primID"] >= 0, hits["tfar"], np.inf), hits["primID"]
 
 
-def lane_samples(streets, kinds=("road",)):
+def lane_samples(streets: Streets, kinds: tuple[str, ...] = ("road",)) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, 2) points in the middle of lanes, 3 m apart, and whether each lies on a junction."""
     frame = shapely.box(*streets.area)
     points, internal = [], []
@@ -66,12 +72,12 @@ def lane_samples(streets, kinds=("road",)):
     return np.concatenate(points), np.concatenate(internal)
 
 
-def names(mesh, faces):
+def names(mesh: trimesh.Trimesh, faces: np.ndarray) -> np.ndarray:
     return np.array([m.name for m in MATERIALS])[mesh.face_attributes["material"][faces]]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_ray_straight_down_on_a_lane_meets_the_road_or_its_paint(worlds, name) -> None:
+def test_a_ray_straight_down_on_a_lane_meets_the_road_or_its_paint(worlds: Worlds, name: str) -> None:
     mesh, streets = worlds(name)
     points, _ = lane_samples(streets)
     assert len(points) > 100
@@ -82,7 +88,7 @@ def test_a_ray_straight_down_on_a_lane_meets_the_road_or_its_paint(worlds, name)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_nothing_stands_in_the_way_of_a_vehicle(worlds, name) -> None:
+def test_nothing_stands_in_the_way_of_a_vehicle(worlds: Worlds, name: str) -> None:
     mesh, streets = worlds(name)
     low = mesh.triangles[:, :, 2].min(axis=1) < 4.4
     solid = np.isin(mesh.face_attributes["material"], [material_index(n) for n in SOLID]) & low
@@ -96,7 +102,7 @@ def test_nothing_stands_in_the_way_of_a_vehicle(worlds, name) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_face_has_a_valid_material_and_finite_corners(worlds, name) -> None:
+def test_every_face_has_a_valid_material_and_finite_corners(worlds: Worlds, name: str) -> None:
     mesh, _ = worlds(name)
     material = mesh.face_attributes["material"]
     assert material.dtype == np.uint8 and material.shape == (len(mesh.faces),) and material.max() < len(MATERIALS)
@@ -106,7 +112,7 @@ def test_every_face_has_a_valid_material_and_finite_corners(worlds, name) -> Non
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_ground_is_below_everything_and_reaches_beyond_the_area(worlds, name) -> None:
+def test_the_ground_is_below_everything_and_reaches_beyond_the_area(worlds: Worlds, name: str) -> None:
     mesh, streets = worlds(name)
     low_x, low_y, high_x, high_y = streets.area
     x, y = np.meshgrid(np.linspace(low_x - 150, high_x + 150, 23), np.linspace(low_y - 150, high_y + 150, 23))
@@ -119,7 +125,7 @@ def test_the_ground_is_below_everything_and_reaches_beyond_the_area(worlds, name
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_paint_lies_above_the_road(worlds, name) -> None:
+def test_paint_lies_above_the_road(worlds: Worlds, name: str) -> None:
     mesh, _ = worlds(name)
     material = mesh.face_attributes["material"]
     paint = mesh.triangles[material == material_index("marking")][:, :, 2]
@@ -127,7 +133,7 @@ def test_paint_lies_above_the_road(worlds, name) -> None:
     assert len(paint) > 50 and paint.min() >= roads.max() + 0.005
 
 
-def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds) -> None:
+def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds: Worlds) -> None:
     mesh, streets = worlds("braunschweig")
     material = mesh.face_attributes["material"]
     house = np.isin(material, [material_index(n) for n in ("brick", "plaster", "concrete", "roof", "glass")])
@@ -144,7 +150,7 @@ def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds) -> N
     assert not shapely.contains_xy(covered, *points.T).any()
 
 
-def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds) -> None:
+def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds: Worlds) -> None:
     mesh, _ = worlds("braunschweig")
     angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     eye = np.tile([671.0, 639.2, 1.9], (720, 1))
@@ -154,7 +160,7 @@ def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds) -> N
     assert np.isin(seen, ["brick", "plaster", "concrete", "glass"]).sum() > 200
 
 
-def test_a_mast_does_not_stand_before_its_roadside_sensor(worlds) -> None:
+def test_a_mast_does_not_stand_before_its_roadside_sensor(worlds: Worlds) -> None:
     for name in NAMES:
         units = load_scenario(name).agents.roadside
         mesh, _ = worlds(name)
@@ -205,14 +211,14 @@ def test_the_world_follows_the_heights_of_its_lanes(tmp_path: Path) -> None:
         assert blocked_share(scene, unit) < 0.05
 
 
-def test_towns_have_houses_kerbs_and_trees(worlds) -> None:
+def test_towns_have_houses_kerbs_and_trees(worlds: Worlds) -> None:
     for name in TOWNS:
         mesh, _ = worlds(name)
         found = set(names(mesh, np.arange(len(mesh.faces))))
         assert {"roof", "kerb", "pavement", "leaves", "bark", "signal_lamp", "glass"} <= found
 
 
-def test_no_pavement_runs_along_a_motorway(worlds) -> None:
+def test_no_pavement_runs_along_a_motorway(worlds: Worlds) -> None:
     _, streets = worlds("highway")
     roads = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal]
     fast = [lane for lane in roads if lane.speed > 25.0 and lane.index == 0]

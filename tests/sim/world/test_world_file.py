@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from sim.bodies.choice import body_mesh, models_for
 from sim.catalog.load import load_scenario
@@ -15,12 +16,12 @@ from sim.world.world_file import load_world, save_world, shapes_of
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory):
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[trimesh.Trimesh, Path]:
     world, models = build_world(load_scenario("four_way"), 1), models_for("car") + models_for("bus")
     return world, save_world(world, shapes_of(models), tmp_path_factory.mktemp("world") / "world.npz")
 
 
-def test_a_world_comes_back_to_the_millimetre_with_its_materials(files) -> None:
+def test_a_world_comes_back_to_the_millimetre_with_its_materials(files: tuple[trimesh.Trimesh, Path]) -> None:
     world, path = files
     again = load_world(path).static
     assert np.abs(again.vertices - world.vertices).max() <= 0.5e-3 + 1e-9
@@ -29,7 +30,7 @@ def test_a_world_comes_back_to_the_millimetre_with_its_materials(files) -> None:
     assert path.stat().st_size < 8 * len(world.faces)
 
 
-def test_the_bodies_of_sumo_are_kept_and_painted_as_their_models_say(files) -> None:
+def test_the_bodies_of_sumo_are_kept_and_painted_as_their_models_say(files: tuple[trimesh.Trimesh, Path]) -> None:
     kept = load_world(files[1])
     assert list(kept.shapes) == ["car-normal-citrus"]
     for model in models_for("car"):
@@ -43,14 +44,14 @@ def test_the_bodies_of_sumo_are_kept_and_painted_as_their_models_say(files) -> N
     assert np.array_equal(kept.body_mesh("bus:red", (12, 2.5, 3)).vertices, body_mesh("bus:red", (12, 2.5, 3)).vertices)
 
 
-def test_a_world_written_again_is_the_same_bytes(files, tmp_path: Path) -> None:
+def test_a_world_written_again_is_the_same_bytes(files: tuple[trimesh.Trimesh, Path], tmp_path: Path) -> None:
     kept = load_world(files[1])
     again = save_world(kept.static, kept.shapes, tmp_path / "again.npz")
     assert again.read_bytes() == files[1].read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["again.npz"]
 
 
-def test_a_damaged_world_is_told_in_one_line(files, tmp_path: Path) -> None:
+def test_a_damaged_world_is_told_in_one_line(files: tuple[trimesh.Trimesh, Path], tmp_path: Path) -> None:
     good = dict(np.load(files[1]))
     wrong = {
         "version": {"version": np.array(9)},
@@ -70,7 +71,7 @@ def test_a_damaged_world_is_told_in_one_line(files, tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_reading_a_world_needs_no_sumo(files) -> None:
+def test_reading_a_world_needs_no_sumo(files: tuple[trimesh.Trimesh, Path]) -> None:
     code = (
         "import sys; from pathlib import Path; from sim.world.world_file import load_world\n"
         "load_world(Path(sys.argv[1]))\n"

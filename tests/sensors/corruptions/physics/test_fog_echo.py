@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,9 +42,9 @@ def homogeneous(extinction: float, pulse_s: float = PULSE_S) -> FogEcho:
 
 def strongest(echo: FogEcho, near_m: float, far_m: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Places and strengths of the strongest echoes between two ranges."""
-    near_m, far_m = np.full(count, near_m), np.full(count, max(near_m, far_m))
-    power = echo.strongest(echo.cells(far_m) - echo.cells(near_m), rng(1).standard_exponential(count))
-    return echo.place(rng(2).random(count), near_m, far_m), power
+    near, far = np.full(count, near_m), np.full(count, max(near_m, far_m))
+    power = echo.strongest(echo.cells(far) - echo.cells(near), rng(1).standard_exponential(count))
+    return echo.place(rng(2).random(count), near, far), power
 
 
 @pytest.mark.parametrize("alpha", TABLE)
@@ -129,7 +130,12 @@ def test_patches_have_the_mean_s_density() -> None:
 def test_a_pulse_s_table_is_made_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DSRC_CACHE", str(tmp_path))
     made = []
-    monkeypatch.setattr(module, "waveforms", lambda *args: made.append(1) or waveforms(*args))
+
+    def make(*args: Any) -> Any:
+        made.append(1)
+        return waveforms(*args)
+
+    monkeypatch.setattr(module, "waveforms", make)
     for _ in range(2):
         module._waveforms.cache_clear()
         module.fog_echo.cache_clear()

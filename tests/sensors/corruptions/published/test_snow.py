@@ -1,6 +1,7 @@
 """Snow as published."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -58,12 +59,16 @@ def beam(
     return int(out.label[0]), float(out.cloud[0, 0]), float(out.cloud[0, 3])
 
 
+def given(particles: np.ndarray, _: int) -> np.ndarray:
+    return particles
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_single_beams_come_out_as_published(variant: str) -> None:
     settings = calibrated(VARIANTS[variant])
     for case in json.loads(shared("snow/single_beam.json").read_text()):
         point, particles = np.array([case["point"][:4]]), np.array(case["particles"])
-        out = apply_snow(point, np.array([case["channel"]]), lambda _, particles=particles: particles, settings)
+        out = apply_snow(point, np.array([case["channel"]]), partial(given, particles), settings)
         assert out.label[0] == case[variant]["label"]
         assert np.allclose(out.cloud[0], case[variant]["xyzI"], rtol=0, atol=1e-9)
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -78,7 +79,7 @@ def run(request: pytest.FixtureRequest) -> tuple[str, list[Actors]]:
         return request.param, [traffic.actors] + [traffic.step() for _ in range(STEPS)]
 
 
-def tracks(run: list[Actors]):
+def tracks(run: list[Actors]) -> Iterator[tuple[Actors, Actors, int, int]]:
     """Yield (before, after, row before, row after) of everybody who is there at two steps."""
     for before, after in pairwise(run):
         for row, object_id in enumerate(after.boxes.object_id.tolist()):

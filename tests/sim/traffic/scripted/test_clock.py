@@ -20,7 +20,9 @@ def scripts(kind: str) -> tuple:
     return encounter_of(encounter(kind), SEED).layout.actors
 
 
-def ride(kind: str, share_before: float, seconds: float = 10.0):
+def ride(
+    kind: str, share_before: float, seconds: float = 10.0
+) -> tuple[np.ndarray, float | None, list[tuple[float, str, str]]]:
     """Ego at a share of its scripted speed until the commit, then at all of it; distances of both, without a crash."""
     ego, conflict = scripts(kind)[:2]
     with ScriptedTraffic(encounter(kind), SEED) as traffic:

@@ -77,7 +77,7 @@ def test_trips_through_an_area_touch_it_and_prefer_its_focus(tmp_path: Path) -> 
 
 def test_bicycles_ride_where_they_may_and_cars_stay_off_their_lanes(tmp_path: Path) -> None:
     root = demand(load_scenario("four_way"), 1, tmp_path)
-    kinds = {e.get("id")[0]: set() for e in root if e.tag == "vehicle"}
+    kinds: dict[str, set[str]] = {e.get("id")[0]: set() for e in root if e.tag == "vehicle"}
     for e in root:
         if e.tag == "vehicle":
             kinds[e.get("id")[0]].add(TYPES[e.get("type")].vclass)

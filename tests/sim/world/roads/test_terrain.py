@@ -1,14 +1,16 @@
 import numpy as np
 import pytest
 import shapely
+import trimesh
 
 from sim.mesh.materials import material_index
 from sim.mesh.solids import carpet
+from sim.roads.network import Network
 from sim.roads.networks import read_network, resolve_network
 from sim.world.build import MARGIN_M, build_world
-from sim.world.roads.streets import read_streets
+from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.surfaces import GROUND_BELOW_M, pavement
-from sim.world.roads.terrain import BEYOND_M, CELL_M, land, level_land
+from sim.world.roads.terrain import BEYOND_M, CELL_M, Terrain, land, level_land
 from tests.sim.world.hills import hilly_scenario, lane_points
 from tests.sim.world.test_world_build import look, names
 
@@ -16,13 +18,13 @@ WINDOW = (0.0, 0.0, 200.0, 100.0)
 
 
 @pytest.fixture(scope="module")
-def hills(tmp_path_factory: pytest.TempPathFactory):
+def hills(tmp_path_factory: pytest.TempPathFactory) -> tuple[Network, Streets, trimesh.Trimesh]:
     scenario = hilly_scenario(tmp_path_factory.mktemp("hills"))
     net = read_network(resolve_network(scenario, 1))
     return net, read_streets(net, None, MARGIN_M), build_world(scenario, 1)
 
 
-def slope(rise=0.1, bend=0.0):
+def slope(rise: float = 0.1, bend: float = 0.0) -> Terrain:
     """Land around one road along x that climbs."""
     x = np.linspace(0.0, 200.0, 21)
     line = np.column_stack([x, np.full(21, 50.0), 300.0 + rise * x + bend * (x - 100.0) ** 2])
@@ -79,7 +81,7 @@ def test_level_lanes_make_two_triangles() -> None:
     assert level_land(WINDOW, 7.0).height(np.array([[3.0, 9e9]])).tolist() == [7.0]
 
 
-def test_in_hilly_country_the_road_has_the_height_of_its_lanes(hills) -> None:
+def test_in_hilly_country_the_road_has_the_height_of_its_lanes(hills: tuple[Network, Streets, trimesh.Trimesh]) -> None:
     net, _, mesh = hills
     points = lane_points(net)
     distance, face = look(mesh, points + np.array([0.0, 0.0, 4.0]), [0, 0, -1])
@@ -89,7 +91,9 @@ def test_in_hilly_country_the_road_has_the_height_of_its_lanes(hills) -> None:
     assert (np.quantile(np.abs(distance - 4.0), [0.5, 0.99, 0.995]) < [0.01, 0.06, 0.15]).all()
 
 
-def test_in_hilly_country_the_ground_lies_just_below_road_and_pavement(hills) -> None:
+def test_in_hilly_country_the_ground_lies_just_below_road_and_pavement(
+    hills: tuple[Network, Streets, trimesh.Trimesh],
+) -> None:
     _, streets, mesh = hills
     low_x, low_y, high_x, high_y = streets.window
     x, y = np.meshgrid(np.arange(low_x, high_x, 1.3), np.arange(low_y, high_y, 1.3))
@@ -108,7 +112,7 @@ def test_in_hilly_country_the_ground_lies_just_below_road_and_pavement(hills) ->
     assert np.quantile(gap, 0.99) < GROUND_BELOW_M + 0.012 and gap.max() < GROUND_BELOW_M + 0.22
 
 
-def test_in_hilly_country_paint_lies_on_the_road(hills) -> None:
+def test_in_hilly_country_paint_lies_on_the_road(hills: tuple[Network, Streets, trimesh.Trimesh]) -> None:
     _, streets, mesh = hills
     paint = mesh.triangles[mesh.face_attributes["material"] == material_index("marking")]
     middle = paint.mean(axis=1)
@@ -116,6 +120,6 @@ def test_in_hilly_country_paint_lies_on_the_road(hills) -> None:
     np.testing.assert_allclose(middle[:, 2], streets.height(middle[:, :2]) + 0.01, atol=1e-6)
 
 
-def test_the_mesh_of_hilly_country_is_not_large(hills) -> None:
+def test_the_mesh_of_hilly_country_is_not_large(hills: tuple[Network, Streets, trimesh.Trimesh]) -> None:
     _, streets, mesh = hills
     assert len(streets.terrain.faces) < 30_000 and len(mesh.faces) < 250_000
