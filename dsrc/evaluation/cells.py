@@ -14,9 +14,9 @@ from dsrc.data.drives import Drive, open_drive
 from dsrc.evaluation.cache import CellSettings, write_cell
 from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.models.detector import Detector
+from dsrc.models.device import one_thread
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import load_student
-from dsrc.models.threads import one_thread
 from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import Condition
 from sim.errors import SettingsError

@@ -4,12 +4,8 @@ A delta is (dx, dy, dz, log l, log w, log h, dyaw): offsets in the plane in unit
 units of the anchor's height, logarithms of the size ratios, and the plain difference of the headings.
 """
 
-from typing import Any, TypeVar
-
 import numpy as np
 from numpy.typing import NDArray
-
-Array = TypeVar("Array", NDArray[np.floating], Any)
 
 REFERENCE_ORDER = (0, 1, 2, 5, 4, 3, 6)
 """Index that swaps our l, w, h and the released models' h, w, l in deltas and boxes, either way."""
@@ -18,50 +14,24 @@ _LOG_LIMIT = 5.0
 """Logarithm of the largest size ratio; without a limit, a diverged network's sizes overflow into NaN overlaps."""
 
 
-def _library(array: object) -> Any:
-    """Return the library of an array: numpy, or torch, which is imported for tensors alone."""
-    if isinstance(array, np.ndarray):
-        return np
-    import torch
-
-    return torch
+def encode(boxes: NDArray[np.floating], anchors: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return (..., 7) deltas of boxes (..., 7) to anchors (..., 7); sizes must be positive."""
+    moved = boxes[..., :3] - anchors[..., :3]
+    size = np.log(boxes[..., 3:6] / anchors[..., 3:6])
+    return np.concatenate([moved / _units(anchors), size, boxes[..., 6:] - anchors[..., 6:]], axis=-1)
 
 
-def encode(boxes: Array, anchors: Array) -> Array:
-    """Return (..., 7) deltas of boxes (..., 7) to anchors (..., 7), numpy or torch; sizes must be positive."""
-    lib = _library(boxes)
-    diagonal = lib.sqrt(anchors[..., 3] ** 2 + anchors[..., 4] ** 2)
-    return lib.stack(
-        [
-            (boxes[..., 0] - anchors[..., 0]) / diagonal,
-            (boxes[..., 1] - anchors[..., 1]) / diagonal,
-            (boxes[..., 2] - anchors[..., 2]) / anchors[..., 5],
-            lib.log(boxes[..., 3] / anchors[..., 3]),
-            lib.log(boxes[..., 4] / anchors[..., 4]),
-            lib.log(boxes[..., 5] / anchors[..., 5]),
-            boxes[..., 6] - anchors[..., 6],
-        ],
-        -1,
-    )
-
-
-def decode(deltas: Array, anchors: Array) -> Array:
+def decode(deltas: NDArray[np.floating], anchors: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return (..., 7) boxes of deltas (..., 7) on anchors (..., 7), the inverse of `encode`; yaw is not wrapped."""
-    lib = _library(deltas)
-    diagonal = lib.sqrt(anchors[..., 3] ** 2 + anchors[..., 4] ** 2)
-    size = lib.exp(lib.clip(deltas[..., 3:6], -_LOG_LIMIT, _LOG_LIMIT)) * anchors[..., 3:6]
-    return lib.stack(
-        [
-            deltas[..., 0] * diagonal + anchors[..., 0],
-            deltas[..., 1] * diagonal + anchors[..., 1],
-            deltas[..., 2] * anchors[..., 5] + anchors[..., 2],
-            size[..., 0],
-            size[..., 1],
-            size[..., 2],
-            deltas[..., 6] + anchors[..., 6],
-        ],
-        -1,
-    )
+    centre = deltas[..., :3] * _units(anchors) + anchors[..., :3]
+    size = np.exp(np.clip(deltas[..., 3:6], -_LOG_LIMIT, _LOG_LIMIT)) * anchors[..., 3:6]
+    return np.concatenate([centre, size, deltas[..., 6:] + anchors[..., 6:]], axis=-1)
+
+
+def _units(anchors: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the (..., 3) units of offsets: diagonal, diagonal, height."""
+    diagonal = np.sqrt(anchors[..., 3] ** 2 + anchors[..., 4] ** 2)
+    return np.stack([diagonal, diagonal, anchors[..., 5]], axis=-1)
 
 
 def headed(deltas: NDArray[np.floating], against: NDArray[np.bool_]) -> NDArray[np.floating]:

@@ -23,13 +23,12 @@ class GridSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ends = zip(self.range_m[:3], self.range_m[3:], strict=True)
         if not (self.cell_m > 0 and all(low < high for low, high in ends)):
             raise ValueError(f"grid: expected a positive cell and minima below maxima, found {self}")
-        if not all(map(math.isfinite, (*self.range_m, self.cell_m))) or self._sides() > MOST_CELLS:
-            raise ValueError(f"grid: expected at most {MOST_CELLS:g} cells, found {self}")
-
-    def _sides(self) -> float:
-        """Return the cells along x times those along y, not rounded."""
         x, y = self.range_m[3] - self.range_m[0], self.range_m[4] - self.range_m[1]
-        return x / self.cell_m * (y / self.cell_m)
+        if (
+            not all(map(math.isfinite, (*self.range_m, self.cell_m)))
+            or x / self.cell_m * (y / self.cell_m) > MOST_CELLS
+        ):
+            raise ValueError(f"grid: expected at most {MOST_CELLS:g} cells, found {self}")
 
     @property
     def width(self) -> int:

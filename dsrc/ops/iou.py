@@ -1,4 +1,4 @@
-"""Overlap of rotated boxes: bird's-eye and 3D intersection over union."""
+"""Overlap of rotated boxes: bird's-eye and 3D intersection over union, and non-maximum suppression."""
 
 import numpy as np
 import powerboxes
@@ -26,13 +26,8 @@ def bev_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     return out
 
 
-def iou_3d(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    """Return (n, m) float64 IoU of the volumes of upright boxes a (n, 7) and b (m, 7)."""
-    return volume_iou(a, b, bev_iou(a, b))
-
-
 def volume_iou(a: ArrayLike, b: ArrayLike, footprint_iou: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, m) `iou_3d` from a known `bev_iou`."""
+    """Return (n, m) float64 IoU of the volumes of upright boxes a (n, 7) and b (m, 7), whose `bev_iou` is known."""
     out = np.zeros_like(footprint_iou)
     pairs = np.nonzero(footprint_iou)
     out[pairs] = paired_volume_iou(_rows(a)[pairs[0]], _rows(b)[pairs[1]], footprint_iou[pairs])
@@ -50,6 +45,34 @@ def paired_volume_iou(
     shared = shared_area * np.maximum(top - bottom, 0.0)
     union = area_a * a[:, 5] + area_b * b[:, 5] - shared
     return np.divide(shared, union, out=np.zeros_like(shared), where=(shared > 0) & (union > 0))
+
+
+def rotated_nms(boxes: ArrayLike, scores: ArrayLike, iou: float, limit: int = 1000) -> NDArray[np.int64]:
+    """Suppress boxes that overlap a better one.
+
+    Args:
+        boxes: (n, 7) x, y, z, l, w, h, yaw.
+        scores: (n,) confidences.
+        iou: footprint overlap with a better kept box above which a box is dropped.
+        limit: number of best boxes that are considered.
+
+    Returns:
+        (k,) int64 rows of the kept boxes, best first; of equal scores the earlier row first.
+    """
+    boxes = np.asarray(boxes, np.float64).reshape(-1, 7)
+    left = np.argsort(-np.asarray(scores), kind="stable")[:limit]
+    half_diagonal = 0.5 * np.hypot(boxes[:, 3], boxes[:, 4])
+    kept = []
+    while len(left):
+        best, left = left[0], left[1:]
+        kept.append(best)
+        # Footprints farther apart than their half diagonals together cannot touch.
+        distance = np.hypot(*(boxes[left, :2] - boxes[best, :2]).T)
+        near = distance <= half_diagonal[left] + half_diagonal[best]
+        drop = np.zeros(len(left), bool)
+        drop[near] = bev_iou(boxes[left[near]], boxes[best])[:, 0] > iou
+        left = left[~drop]
+    return np.array(kept, np.int64)
 
 
 def _rows(boxes: ArrayLike) -> NDArray[np.float64]:

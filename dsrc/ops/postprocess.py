@@ -1,14 +1,12 @@
 """Post-processing of the heads' maps: threshold, decoding, filters, non-maximum suppression."""
 
-from typing import Any
-
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.ops.coding import decode
 from dsrc.ops.detections import Detections
-from dsrc.ops.nms import rotated_nms
+from dsrc.ops.iou import rotated_nms
 from sim.boxes import Boxes
 
 
@@ -33,8 +31,8 @@ class PostSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def decode_detections(
-    cls_logits: object,
-    regression: object,
+    cls_logits: NDArray[np.float32],
+    regression: NDArray[np.float32],
     anchors: NDArray[np.float64],
     settings: PostSettings,
     label: NDArray[np.int64] | None = None,
@@ -42,7 +40,7 @@ def decode_detections(
     """Decode the detections of one sample, in the frame of the anchors (the ego LiDAR's).
 
     Args:
-        cls_logits: (2, H, W) logits per anchor, numpy or torch.
+        cls_logits: (2, H, W) logits per anchor.
         regression: (14, H, W) deltas, 7 per anchor.
         anchors: (H, W, 2, 7).
         label: (2,) classes of boxes by anchor; None for cars.
@@ -52,8 +50,8 @@ def decode_detections(
 
 
 def candidates(
-    cls_logits: object,
-    regression: object,
+    cls_logits: NDArray[np.float32],
+    regression: NDArray[np.float32],
     anchors: NDArray[np.float64],
     score_threshold: float,
     label: NDArray[np.int64] | None = None,
@@ -63,11 +61,11 @@ def candidates(
     Returns:
         K boxes in the order of the anchors (row, column, anchor), and their (K,) float32 scores.
     """
-    logits = np.moveaxis(_numpy(cls_logits), 0, -1)
+    logits = np.moveaxis(np.asarray(cls_logits, np.float32), 0, -1)
     with np.errstate(over="ignore"):
         scores = 1.0 / (1.0 + np.exp(-logits))
     row, column, anchor = np.nonzero(scores > np.float32(score_threshold))
-    maps = _numpy(regression).reshape(logits.shape[-1], 7, *logits.shape[:2])
+    maps = np.asarray(regression, np.float32).reshape(logits.shape[-1], 7, *logits.shape[:2])
     boxes = decode(maps[anchor, :, row, column].astype(np.float64), anchors[row, column, anchor])
     finite = np.isfinite(boxes).all(axis=1)
     labels = None if label is None else label[anchor][finite]
@@ -99,10 +97,3 @@ def _plausible(boxes: Boxes, settings: PostSettings) -> NDArray[np.bool_]:
         plane = boxes.corners()[:, :4, :2]
         keep &= np.all(np.ptp(plane, axis=1) <= settings.max_extent_m, axis=1)
     return keep
-
-
-def _numpy(array: Any) -> NDArray[np.float32]:
-    """Return a float32 numpy view or copy of a numpy array or a tensor on any device."""
-    if isinstance(array, np.ndarray):
-        return array.astype(np.float32, copy=False)
-    return array.detach().float().cpu().numpy()

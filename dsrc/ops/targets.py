@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dsrc.ops.coding import encode
 
-_LEGACY_POSITIVE, _LEGACY_NEGATIVE = 0.6, 0.45
+_LEGACY_POSITIVE = 0.6
 _TIE = 1e-6
 
 
@@ -17,13 +17,11 @@ class AnchorAssignment:
 
     Attributes:
         positive: (H, W, 2) bool positive anchors.
-        ignored: (H, W, 2) bool anchors with too much overlap for background and too little for a positive.
         owner: (H, W, 2) int32 row of a positive anchor's box, -1 elsewhere.
         regression: (H, W, 14) float32 deltas (see `coding`), anchor by anchor; zero where not positive.
     """
 
     positive: NDArray[np.bool_]
-    ignored: NDArray[np.bool_]
     owner: NDArray[np.int32]
     regression: NDArray[np.float32]
 
@@ -33,7 +31,6 @@ def assign_targets(
     anchors: NDArray[np.float64],
     positive_iou: float | NDArray[np.float64] = 0.5,
     legacy_iou: bool = False,
-    negative_iou: float = 0.35,
     fits: NDArray[np.bool_] | None = None,
 ) -> AnchorAssignment:
     """Assign the anchors of one sample.
@@ -43,14 +40,13 @@ def assign_targets(
     an anchor are turned to the nearest axis, so that the number of a box's anchors does not depend on its heading.
 
     With `legacy_iou` the labels are the released code's: overlap of axis-aligned hulls with one metre added to every
-    side (a pixel convention, applied to metres), more than 0.6 positive, less than 0.45 negative, the first box wins a
-    disputed anchor and a box can end without any. The other arguments are then unused.
+    side (a pixel convention, applied to metres), more than 0.6 positive, the first box wins a disputed anchor and a
+    box can end without any. The other arguments are then unused.
 
     Args:
         boxes: (n, 7) x, y, z, l, w, h, yaw in the anchors' frame.
         anchors: (H, W, 2, 7) of `anchor_grid`.
         positive_iou: least overlap of a positive anchor, or (2,) of each of a cell.
-        negative_iou: overlap from which an anchor that is not positive is `ignored`.
         fits: (n, 2) whether a box may have each anchor of a cell; all may when left out.
 
     Raises:
@@ -61,24 +57,23 @@ def assign_targets(
     if fits.shape != (len(boxes), 2):
         raise ValueError(f"fits: expected ({len(boxes)}, 2), found {fits.shape}")
     if legacy_iou:
-        owner, ignored = _assign_legacy(boxes, anchors)
+        owner = _assign_legacy(boxes, anchors)
     else:
-        owner, ignored = _assign(boxes, anchors, positive_iou, negative_iou, fits)
+        owner = _assign(boxes, anchors, positive_iou, fits)
     positive = owner >= 0
     regression = np.zeros((*owner.shape, 7), np.float32)
     if len(boxes):
         regression[positive] = encode(boxes[owner[positive]], anchors[positive])
-    return AnchorAssignment(positive, ignored & ~positive, owner, regression.reshape(*owner.shape[:2], -1))
+    return AnchorAssignment(positive, owner, regression.reshape(*owner.shape[:2], -1))
 
 
 def _assign(
     boxes: NDArray[np.float64],
     anchors: NDArray[np.float64],
     positive_iou: float | NDArray[np.float64],
-    negative_iou: float,
     fits: NDArray[np.bool_],
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return `owner` and `ignored` by true overlap."""
+) -> NDArray[np.int32]:
+    """Return `owner` by true overlap."""
     best = np.zeros(anchors.shape[:3])
     owner = np.full(anchors.shape[:3], -1, np.int32)
     overlaps = []
@@ -92,18 +87,14 @@ def _assign(
     for row, (window, iou) in enumerate(overlaps):
         if not (owner[window] == row).any() and iou.size and iou.max() > 0:
             owner[window][iou >= iou.max() - _TIE] = row
-    return owner, best >= negative_iou
+    return owner
 
 
-def _assign_legacy(
-    boxes: NDArray[np.float64], anchors: NDArray[np.float64]
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return `owner` and `ignored` by the released code's rules."""
+def _assign_legacy(boxes: NDArray[np.float64], anchors: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Return `owner` by the released code's rules."""
     owner = np.full(anchors.shape[:3], -1, np.int32)
-    near = np.zeros(anchors.shape[:3], bool)
     overlaps = [_overlap(_hull(box), anchors, 1.0) for box in boxes]
     for row, (window, iou) in enumerate(overlaps):
-        near[window] |= iou >= np.float32(_LEGACY_NEGATIVE)
         owner[window][(iou > np.float32(_LEGACY_POSITIVE)) & (owner[window] < 0)] = row
     for row, (window, iou) in enumerate(overlaps):
         if iou.size == 0 or iou.max() <= 0:
@@ -111,7 +102,7 @@ def _assign_legacy(
         place = np.unravel_index(int(iou.argmax()), iou.shape)
         if owner[window][place] < 0:
             owner[window][place] = row
-    return owner, near
+    return owner
 
 
 def _hull(box: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from dsrc.closed_loop.perception.senses import Senses
 from dsrc.closed_loop.types import Percept
 from dsrc.data.sample import Sample, SampleDetector, make_sample
 from dsrc.models.channel import Receiver
-from dsrc.models.threads import one_thread
+from dsrc.models.device import one_thread
 from dsrc.ops.detections import Detections
 from sensors.corruptions import Condition
 from sensors.frame import Frame

@@ -19,7 +19,7 @@ from dsrc.evaluation.cells import CellJob, detector_of, drive_of
 from dsrc.evaluation.detect import FrameHistory, corrupted, interval_of
 from dsrc.evaluation.sharing.shares import Shares, share_sample
 from dsrc.models.channel import Receiver
-from dsrc.models.threads import one_thread
+from dsrc.models.device import one_thread
 from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import drive_seed
 from sim.files import write_file

@@ -1,12 +1,13 @@
 """Base class of the fusion methods, and the layout of agents in a batch that they read."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, Self, TypeVar
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
 
+from dsrc.models.device import Movable
 from dsrc.models.settings import ModelSettings
 
 # Legend: N agents of all samples, B samples, A agents of one sample, L most agents of a sample.
@@ -15,7 +16,7 @@ Layer = TypeVar("Layer", bound=nn.Module)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AgentLayout:
+class AgentLayout(Movable):
     """Layout of agents in a batch: agents per sample, lost tiles, kinds, delays, poses.
 
     Attributes:
@@ -41,15 +42,6 @@ class AgentLayout:
     def split(self, x: Tensor) -> tuple[Tensor, ...]:
         """Split (N, ...) rows by sample."""
         return x.split(list(self.agents))
-
-    def to(self, device: torch.device | str) -> "AgentLayout":
-        """Move the tensors to a device."""
-        moved: dict[str, Any] = {
-            name: part.to(device)
-            for name in ("lost", "roadside", "delay", "pairwise")
-            if (part := getattr(self, name)) is not None
-        }
-        return replace(self, **moved)
 
 
 class Fusion(nn.Module):

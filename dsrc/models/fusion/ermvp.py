@@ -2,21 +2,20 @@
 
 import math
 from collections.abc import Sequence
-from typing import Self
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, stacked, zeroed
-from dsrc.models.fusion.cobevt import with_absent
+from dsrc.models.fusion.base import AgentLayout, stacked
+from dsrc.models.fusion.cobevt import WindowFusion
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import (
     AgentWindows,
     FeedForward,
     Residual,
     cut,
-    padded,
+    in_heads,
     paste,
     relative_place,
     window_mask,
@@ -26,7 +25,7 @@ from dsrc.models.settings import ModelSettings
 # Legend: A agents, K sampled cells, T clusters, H W map, w side of a window, C channels.
 
 
-class ERMVP(Fusion):
+class ERMVP(WindowFusion):
     """Sampled cells, merged by density, fused by window and global-query attention, (N, C, H, W) to (B, C, H, W).
 
     Source: ERMVP, Zhang et al., CVPR 2024, Section 3: a collaborator sends the fifth of its cells that scores best,
@@ -45,9 +44,8 @@ class ERMVP(Fusion):
     published normalisation scales after the softmax, here too.
     """
 
-    place = "map"
     start = "identity"
-    ordered = True
+    multiple = 4  # the queries see the map at a quarter of its resolution, in windows too
 
     def __init__(
         self,
@@ -65,33 +63,24 @@ class ERMVP(Fusion):
         """Make the sampler and the blocks.
 
         Args:
-            window: side of a window, cells.
             hidden: width of the feed-forward layers; None is that of the maps.
             sampled: share of the cells that are sent.
             released: fuse whole maps as the published code does.
         """
-        super().__init__()
-        self.agents, self.window, self.released = agents, window, released
+        super().__init__(agents, window, released)
         self.sampler = Sampler(channels, sampled, merged, by_number=released)
-        self.blocks = nn.ModuleList(
-            nn.ModuleDict(
+        self._build(
+            channels,
+            (
                 {
                     "near": Residual(channels, AgentWindows(channels, heads, agents, window, dropout)),
                     "near_forward": Residual(channels, FeedForward(channels, hidden or channels, dropout)),
                     "whole": Residual(channels, GlobalQuery(channels, heads, agents, window, dropout)),
                     "whole_forward": Residual(channels, FeedForward(channels, hidden or channels, dropout)),
                 }
-            )
-            for _ in range(depth)
+                for _ in range(depth)
+            ),
         )
-        self.norm = nn.LayerNorm(channels)
-        self.out = zeroed(nn.Linear(channels, channels))
-        self.keep = nn.Parameter(torch.ones(channels))
-
-    @classmethod
-    def from_settings(cls, settings: ModelSettings) -> Self:
-        """Make the fusion of a detector with these settings."""
-        return cls(settings.shrink_channels, settings.max_agents, released=settings.released)
 
     @classmethod
     def values_sent(cls, settings: ModelSettings) -> int:
@@ -114,23 +103,6 @@ class ERMVP(Fusion):
         groups = layout.split(features)
         learned = [self.head(self.attend(into_ego(group, layout, b))) for b, group in enumerate(groups)]
         return self.keep[:, None, None] * stacked([group[0] for group in groups]) + torch.stack(learned)
-
-    def attend(self, group: Tensor) -> Tensor:
-        """Return (A, H, W, C) features of one sample's (A, C, H, W) after the blocks."""
-        height, width = group.shape[-2:]
-        # The queries see the map at a quarter of its resolution, in windows too.
-        x, valid = padded(group.permute(0, 2, 3, 1), 4 * self.window)
-        if self.released:
-            x, valid = with_absent(x, valid, self.agents)
-        for block in self.blocks:
-            layers: nn.ModuleDict = block  # type: ignore[assignment]
-            x = layers["near_forward"](layers["near"](x, valid, False))
-            x = layers["whole_forward"](layers["whole"](x, valid))
-        return x[:, :height, :width]
-
-    def head(self, x: Tensor) -> Tensor:
-        """Return (C, H, W) of (A, H, W, C)."""
-        return self.out(self.norm(x.mean(0))).permute(2, 0, 1)
 
 
 class Sampler(nn.Module):
@@ -209,8 +181,7 @@ class GlobalQuery(nn.Module):
         tokens = cut(short, self.window)
         among = torch.softmax(tokens @ tokens.transpose(1, 2), dim=-1) * tokens.shape[-1] ** -0.5
         query = (among @ tokens).mean(0).unflatten(-1, (self.heads, -1)).transpose(0, 1)
-        parts = self.key_value(cut(x, self.window)).chunk(2, dim=-1)
-        key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
+        key, value = in_heads(self.key_value(cut(x, self.window)), 2, self.heads)
         mask = window_mask(self.bias, self.place, len(x), self.window, valid, False)
         found = functional.scaled_dot_product_attention(query.expand_as(key), key, value, attn_mask=mask)
         joined = self.dropout(self.out(found.transpose(1, 2).flatten(2)))

@@ -6,7 +6,7 @@ from torch import Tensor
 from dsrc.models.fusion.base import AgentLayout, Fusion
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.detections import Detections
-from dsrc.ops.nms import rotated_nms
+from dsrc.ops.iou import rotated_nms
 from sim.boxes import concatenate
 
 

@@ -26,31 +26,22 @@ class V2VNet(Fusion):
     last round runs for the ego alone. Without warps a round costs 2 A convolutions of C channels where the released
     code has A^2 of 2 C.
 
-    Released (OpenCOOD): the GRU starts every call with a hidden state of zeros, so that it keeps nothing (`keep` 0, but
-    1 without the GRU); its reset gate and its weights for that state have no effect, and do not exist here. The mask of
-    j's map turns about the first cell, the features about the map's centre; with rotation they disagree. `released`
-    does so, else both turn about the centre.
+    Released (OpenCOOD): the GRU starts every call with a hidden state of zeros, so that it keeps nothing (`keep` 0);
+    its reset gate and its weights for that state have no effect, and do not exist here. The mask of j's map turns about
+    the first cell, the features about the map's centre; with rotation they disagree. `released` does so, else both turn
+    about the centre.
     """
 
     place = "map"
     start = "identity"
 
-    def __init__(
-        self, channels: int, rounds: int = 2, released: bool = False, agg: str = "mean", gated: bool = True
-    ) -> None:
-        """Make a graph network.
-
-        Args:
-            released: masks as OpenCOOD's.
-            agg: aggregation of messages, mean or max.
-            gated: messages enter a GRU, else they are added.
-        """
+    def __init__(self, channels: int, rounds: int = 2, released: bool = False) -> None:
+        """Make a graph network; `released` masks as OpenCOOD does."""
         super().__init__()
-        self.rounds, self.released, self.agg, self.gated = rounds, released, agg, gated
+        self.rounds, self.released = rounds, released
         self.message = nn.Conv2d(2 * channels, channels, 3, padding=1)
         self.update = nn.Conv2d(2 * channels, channels, 3, padding=1)
-        self.candidate = nn.Conv2d(2 * channels, channels, 3, padding=1)
-        zeroed(self.candidate if gated else self.message)
+        self.candidate = zeroed(nn.Conv2d(2 * channels, channels, 3, padding=1))
         self.keep = nn.Parameter(torch.ones(channels))
         self.out = nn.Linear(channels, channels)
         nn.init.eye_(self.out.weight)
@@ -87,23 +78,17 @@ class V2VNet(Fusion):
         from_sender, from_self = self.message.weight.chunk(2, dim=1)
         own = functional.conv2d(group[:receivers], from_self, self.message.bias, padding=1)
         if motion is None or mask is None:
-            return own + self._joined(functional.conv2d(group, from_sender, padding=1))
+            return own + functional.conv2d(group, from_sender, padding=1).mean(0)
         messages = []
         for i in range(receivers):
             sent = functional.conv2d(shifted(group, motion[:, i]), from_sender, padding=1)
-            messages.append(self._joined((sent + own[i]) * mask[:, i]))
+            messages.append(((sent + own[i]) * mask[:, i]).mean(0))
         return torch.stack(messages)
-
-    def _joined(self, messages: Tensor) -> Tensor:
-        return messages.mean(0) if self.agg == "mean" else messages.amax(0)
 
     def _step(self, own: Tensor, messages: Tensor) -> Tensor:
         """Return the agents' new features."""
-        kept = self.keep[:, None, None] * own
-        if not self.gated:
-            return kept + messages
         both = torch.cat([own, messages], dim=1)
-        return kept + torch.sigmoid(self.update(both)) * torch.tanh(self.candidate(both))
+        return self.keep[:, None, None] * own + torch.sigmoid(self.update(both)) * torch.tanh(self.candidate(both))
 
     def covered(self, motion: Tensor, group: Tensor) -> Tensor:
         """Return the (A, A, 1, H, W) mask of cells of i, the second, that the map of j, the first, covers."""

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from dsrc.models.fusion.base import AgentLayout, Fusion, zeroed
 from dsrc.models.fusion.warp import about_centre, in_cells, shifted
-from dsrc.models.fusion.windows import FeedForward, Residual, cut, padded, paste
+from dsrc.models.fusion.windows import FeedForward, Residual, cut, in_heads, padded, paste
 from dsrc.models.settings import ModelSettings
 
 # Legend: A agents of a sample, H W map, C channels, M heads, P Q channels of a head, T kinds of agents.
@@ -235,9 +235,7 @@ class WindowAttention(nn.Module):
         # One agent's map below the other's: no window spans two.
         below = (1, agents * filled.shape[1], *filled.shape[2:])
         tokens = cut(filled.reshape(below), self.window)
-        query, key, value = (
-            part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in self.qkv(tokens).chunk(3, dim=-1)
-        )
+        query, key, value = in_heads(self.qkv(tokens), 3, self.heads)
         mask = self.bias[self.place[0], self.place[1]][None, None]
         if valid is not None:
             seen = cut(valid[:1, ..., None], self.window)[:, None, None, :, 0]

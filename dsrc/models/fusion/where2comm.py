@@ -30,16 +30,15 @@ class Where2comm(Fusion):
 
     scales_sent = 1
 
-    def __init__(self, threshold: float = 0.01, released: bool = False, agg: str = "attention") -> None:
+    def __init__(self, threshold: float = 0.01, released: bool = False) -> None:
         """Make the selection.
 
         Args:
             threshold: smoothed confidence above which a cell is sent.
             released: keep the maps of every other agent whole.
-            agg: fusion of scales, attention or max.
         """
         super().__init__()
-        self.threshold, self.released, self.agg = threshold, released, agg
+        self.threshold, self.released = threshold, released
         self.kernel: Tensor
         self.register_buffer("kernel", gaussian(5, 1.0), persistent=False)
 
@@ -73,8 +72,6 @@ class Where2comm(Fusion):
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale."""
         groups = [into_ego(group, layout, b) for b, group in enumerate(layout.split(features))]
-        if self.agg == "max":
-            return stacked([group.amax(0) for group in groups])
         return stacked([ego_row(group) for group in groups])
 
     def smoothed(self, logits: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ class Residual(nn.Module):
         self.norm = nn.LayerNorm(channels)
         self.inner = inner
 
-    def forward(self, x: Tensor, *args: Tensor | bool | None) -> Tensor:
+    def forward(self, x: Tensor, *args: Tensor | None) -> Tensor:
         """Map (..., C) to (..., C)."""
         return x + self.inner(self.norm(x), *args)
 
@@ -39,11 +39,14 @@ class AgentWindows(nn.Module):
     Args:
         agents: L, number of agents that a bias is learned for.
         window: side of a window, cells.
+        spread: windows of cells spread evenly over the map, not of neighbours.
     """
 
-    def __init__(self, channels: int, heads: int, agents: int, window: int, dropout: float) -> None:
+    def __init__(
+        self, channels: int, heads: int, agents: int, window: int, dropout: float, spread: bool = False
+    ) -> None:
         super().__init__()
-        self.heads, self.window = heads, window
+        self.heads, self.window, self.spread = heads, window, spread
         self.place: Tensor
         self.qkv = nn.Linear(channels, 3 * channels, bias=False)
         self.out = nn.Linear(channels, channels, bias=False)
@@ -51,20 +54,14 @@ class AgentWindows(nn.Module):
         self.bias = nn.Parameter(torch.randn((2 * agents - 1) * (2 * window - 1) ** 2, heads) * 0.02)
         self.register_buffer("place", relative_place(agents, window), persistent=False)
 
-    def forward(self, x: Tensor, valid: Tensor | None, spread: bool) -> Tensor:
-        """Attend in (A, H, W, C).
-
-        Args:
-            x: normalised features.
-            valid: (A, H, W) bool mask of the keys, None for all.
-            spread: windows of cells spread evenly over the map, not of neighbours.
-        """
-        tokens = cut(x, self.window, spread)
-        query, key, value = (_heads(part, self.heads) for part in self.qkv(tokens).chunk(3, dim=-1))
-        mask = window_mask(self.bias, self.place, len(x), self.window, valid, spread)
+    def forward(self, x: Tensor, valid: Tensor | None) -> Tensor:
+        """Attend in (A, H, W, C) normalised features; `valid` (A, H, W) masks the keys, None for all."""
+        tokens = cut(x, self.window, self.spread)
+        query, key, value = in_heads(self.qkv(tokens), 3, self.heads)
+        mask = window_mask(self.bias, self.place, len(x), self.window, valid, self.spread)
         found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
         joined = self.dropout(self.out(found.transpose(1, 2).flatten(2)))
-        return paste(joined, tuple(x.shape), self.window, spread)
+        return paste(joined, tuple(x.shape), self.window, self.spread)
 
 
 def relative_place(agents: int, window: int) -> Tensor:
@@ -88,9 +85,9 @@ def window_mask(bias: Tensor, place: Tensor, agents: int, window: int, valid: Te
     return added.masked_fill(~seen, -torch.inf)
 
 
-def _heads(x: Tensor, heads: int) -> Tensor:
-    """Return (G, heads, T, C / heads) of (G, T, C)."""
-    return x.unflatten(-1, (heads, -1)).transpose(1, 2)
+def in_heads(x: Tensor, parts: int, heads: int) -> list[Tensor]:
+    """Split (G, T, parts C) into (G, heads, T, C / heads) each."""
+    return [part.unflatten(-1, (heads, -1)).transpose(1, 2) for part in x.chunk(parts, dim=-1)]
 
 
 def cut(x: Tensor, window: int, spread: bool = False) -> Tensor:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dsrc.data.sample import Sample
+from dsrc.models.device import Movable
 from dsrc.models.fusion.base import AgentLayout
 from dsrc.models.inputs.labels import LabelSettings, cells_in_boxes
 from dsrc.models.inputs.teacher import TeacherClouds, teacher_clouds
@@ -22,8 +22,7 @@ from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import ANCHORS, anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.grid import GridSpec
-from dsrc.ops.pillars import voxelise
-from dsrc.ops.pillars_kernel import sum_cells
+from dsrc.ops.pillars import sum_cells, voxelise
 from dsrc.ops.targets import assign_targets
 from sim.boxes import Boxes
 from sim.geometry import invert, transform_points
@@ -34,7 +33,7 @@ _LABELS = LabelSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Targets:
+class Targets(Movable):
     """Training targets of the detection heads.
 
     Attributes:
@@ -45,13 +44,9 @@ class Targets:
     positive: Tensor
     regression: Tensor
 
-    def to(self, device: torch.device | str) -> "Targets":
-        """Move to a device."""
-        return Targets(self.positive.to(device), self.regression.to(device))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Batch:
+class Batch(Movable):
     """Batch of B samples with N agents in all.
 
     Attributes:
@@ -93,18 +88,6 @@ class Batch:
         low, high = np.array(self.grid.range_m[:2]), np.array(self.grid.range_m[3:5])
         extent, centre = (high - low).tolist(), ((high + low) / 2).tolist()
         return AgentLayout(self.agents, self.lost, self.roadside, None, self.pairwise, tuple(extent), tuple(centre))
-
-    def to(self, device: torch.device | str) -> "Batch":
-        """Move the tensors to a device."""
-        if torch.device(device).type == "cpu":
-            return self
-        moved: dict[str, Any] = {
-            name: part.to(device) for name in _TENSORS if (part := getattr(self, name)) is not None
-        }
-        return replace(self, **moved)
-
-
-_TENSORS = ("student", "lost", "roadside", "pairwise", "teacher", "foreground", "targets", "scene", "objects", "view")
 
 
 def collate(

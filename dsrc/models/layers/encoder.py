@@ -5,12 +5,13 @@ that the published implementations allocate; the slots' effect on batch norm and
 (`padded_slots`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from dsrc.models.device import Movable
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 
@@ -18,7 +19,7 @@ from dsrc.ops.grid import GridSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pillars:
+class Pillars(Movable):
     """Pillars of N clouds: points sorted by pillar.
 
     Attributes:
@@ -34,11 +35,6 @@ class Pillars:
     coords: Tensor
     count: Tensor
     clouds: int
-
-    def to(self, device: torch.device | str) -> "Pillars":
-        """Move to a device."""
-        moved = {name: getattr(self, name).to(device) for name in ("points", "pillar", "coords", "count")}
-        return replace(self, **moved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,11 +10,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from dsrc.models.device import Movable
 from dsrc.models.settings import ModelSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SceneVoxels:
+class SceneVoxels(Movable):
     """Reconstruction target: occupied voxels of B merged clouds.
 
     Attributes:
@@ -26,10 +27,6 @@ class SceneVoxels:
     voxel: Tensor
     offset: Tensor
     samples: int
-
-    def to(self, device: torch.device | str) -> "SceneVoxels":
-        """Move to a device."""
-        return SceneVoxels(self.voxel.to(device), self.offset.to(device), self.samples)
 
 
 class Reconstruction(nn.Module):

@@ -21,11 +21,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from dsrc.models.detector import Detector
-from dsrc.models.layers.backbones import BasicBlock
+from dsrc.models.layers.backbones import BasicBlock, Res2Block, Res2Net
 from dsrc.models.layers.blocks import Decoder
 from dsrc.models.layers.encoder import PillarEncoder, PillarMap, Pillars
-from dsrc.models.layers.res2net import Res2Block, Res2Net
-from dsrc.ops.pillars_kernel import pillar_maxima
+from dsrc.ops.pillars import pillar_maxima
 from sim.errors import SettingsError, complaint
 
 _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")

@@ -1,7 +1,7 @@
 import numpy as np
 from shapely.geometry import Polygon
 
-from dsrc.ops.nms import rotated_nms
+from dsrc.ops.iou import rotated_nms
 from sim.boxes import Boxes
 
 

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import torch
 
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, encode
@@ -35,12 +34,8 @@ def assert_same_moved_boxes(detections, corners, scores) -> None:
     np.testing.assert_allclose(detections.boxes.corners()[ours], corners[theirs], atol=0.06)
 
 
-@pytest.mark.parametrize("kind", ["numpy", "torch"])
-def test_detections_equal_the_released_ones(kind: str) -> None:
-    maps = golden_maps()
-    if kind == "torch":
-        maps = [torch.from_numpy(m).requires_grad_() for m in maps]
-    detections = decode_detections(*maps, ANCHORS, RELEASED)
+def test_detections_equal_the_released_ones() -> None:
+    detections = decode_detections(*golden_maps(), ANCHORS, RELEASED)
     assert_same_boxes(detections, GOLDEN["final_corners"], GOLDEN["final_scores"])
 
 

@@ -49,7 +49,7 @@ FAR = (
     "dsrc/models/inputs/batch.py",
     "dsrc/models/fusion/where2comm.py",
     "dsrc/models/storage/deploy.py",
-    "dsrc/ops/nms.py",
+    "dsrc/ops/iou.py",
     "dsrc/evaluation/metrics/matching.py",
     "dsrc/evaluation/detect.py",
 )

@@ -19,7 +19,7 @@ from dsrc.evaluation.metrics.ap import (
 )
 from dsrc.evaluation.metrics.matching import match
 from dsrc.ops.detections import Detections
-from dsrc.ops.iou import bev_iou, iou_3d
+from dsrc.ops.iou import bev_iou, volume_iou
 from sim.boxes import Boxes
 from tests.paths import GOLDENS as ALL_GOLDENS
 
@@ -132,7 +132,9 @@ def test_ap_equals_brute_force_on_random_sets(seed: int) -> None:
     frames = random_frames(np.random.default_rng(seed), 8)
     result = evaluate(frames)
     for (space, threshold), curve in result.curves.items():
-        expected = brute_force_ap(frames, threshold, {"bev": bev_iou, "3d": iou_3d}[space])
+        expected = brute_force_ap(
+            frames, threshold, {"bev": bev_iou, "3d": lambda a, b: volume_iou(a, b, bev_iou(a, b))}[space]
+        )
         assert curve.ap == pytest.approx(expected, abs=1e-9), (space, threshold)
 
 
