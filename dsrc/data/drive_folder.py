@@ -1,7 +1,7 @@
 """Folder of a drive while it is being written: its protocol, its complete frames."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,28 +47,6 @@ def read_settings(drive: Path) -> dict | None:
     return settings
 
 
-def check_same(drive: Path, found: dict, wanted: dict, file: str = PROTOCOL) -> None:
-    """Compare settings with those in a file of the folder; DataError names the first difference."""
-    have, want = dict(_leaves(found, "")), dict(_leaves(wanted, ""))
-    for key in [*want, *have]:
-        if key not in have or key not in want or have[key] != want[key]:
-            asked = f"{want[key]!r} as asked for now" if key in want else "no such setting"
-            hint = f"; choose another folder or remove this {'drive' if file == PROTOCOL else 'one'}"
-            raise DataError(complaint(drive / file, key, asked, have.get(key, "nothing"), hint))
-
-
 def is_complete(drive: Path, agent_ids: Sequence[int], index: int) -> bool:
     """Return whether all files of a frame exist; each is written atomically."""
     return all(path.exists() for path in frame_files(drive, agent_ids, index))
-
-
-def _leaves(value: object, where: str) -> Iterator[tuple[str, object]]:
-    """Yield (dotted name, plain value) of nested settings; a tuple counts as a list, as it does in a file."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            yield from _leaves(item, f"{where}.{key}" if where else str(key))
-    elif isinstance(value, list | tuple) and any(isinstance(item, dict | list | tuple) for item in value):
-        for row, item in enumerate(value):
-            yield from _leaves(item, f"{where}[{row}]")
-    else:
-        yield where, list(value) if isinstance(value, tuple) else value

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from dsrc.data.changes import at_place, with_sensors
 from dsrc.data.checksums import CHECKSUMS, write_checksums
-from dsrc.data.drive_folder import check_same, is_complete, read_settings, write_protocol
-from dsrc.data.formats.opv2v.reader import agent_table, write_frame
+from dsrc.data.drive_folder import is_complete, read_settings, write_protocol
+from dsrc.data.formats.opv2v.reader import PROTOCOL, agent_table, write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
 from dsrc.options.drives import DriveOptions, GenerateOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import Progress
 from dsrc.runs.lock import locked
+from dsrc.runs.series import check_same
 from sensors.deskew import check_motion
 from sensors.frame import Frame
 from sensors.presets import scenario_lidars
@@ -222,7 +223,7 @@ def write_drive(
         agents: dict = {}
         if found is not None:
             agents = found.pop("agents", {})
-            check_same(drive, found, settings)
+            check_same(drive / PROTOCOL, found, settings)
         else:
             # The protocol is written before any frame: these are another program's.
             for path in sorted(drive.glob("*/*")):

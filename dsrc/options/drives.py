@@ -85,6 +85,8 @@ class CorruptOptions(msgspec.Struct, frozen=True):
         set: settings in place of the severity's, such as calibration=hdl64.npz; default: none.
         sensor: preset of the LiDAR of scans, such as hdl-64e-s2; default: rings are found in the points.
         seed: seed of the corruption; every drive draws its own weather and faults from it.
+        reuse: folders of earlier corruptions, perhaps `out`: frames and scans whose settings agree in all but code are
+            taken from them, which is recorded; default: none.
     """
 
     data: Data
@@ -97,6 +99,7 @@ class CorruptOptions(msgspec.Struct, frozen=True):
     set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE [...]")] = ()
     sensor: str | None = None
     seed: int = 0
+    reuse: tuple[Folder, ...] = ()
 
 
 class BuildOptions(msgspec.Struct, frozen=True):

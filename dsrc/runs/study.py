@@ -19,7 +19,7 @@ from sim.files import remove_leftovers, write_file
 
 REUSED = "reused.json"
 """File in a folder of results: keys of results of earlier code, by the keys under which they are found now."""
-_CODE = ("code", "versions", "reused")
+CODE = ("code", "versions", "reused")
 """Settings that say by which code a result was computed."""
 
 J = TypeVar("J")
@@ -127,7 +127,7 @@ def signature(settings: Any) -> str:
 def without_code(settings: Any) -> Any:
     """Return settings, plain values, without those that say by which code a result was computed, at any depth."""
     if isinstance(settings, dict):
-        return {name: without_code(value) for name, value in settings.items() if name not in _CODE}
+        return {name: without_code(value) for name, value in settings.items() if name not in CODE}
     return [without_code(value) for value in settings] if isinstance(settings, list | tuple) else settings
 
 

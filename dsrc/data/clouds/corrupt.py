@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dsrc.data.clouds.cloud import Cloud
-from sensors.corruptions import CLEAN, CORRUPTIONS, DEFAULT_SEVERITY, Family, corrupt_frame, settings_of
+from sensors.corruptions import CLEAN, CORRUPTIONS, DEFAULT_SEVERITY, Condition, Family, settings_of
 from sensors.corruptions.incomplete_echo import on_vehicles
 from sensors.frame import AgentFrame, Frame
 from sensors.presets import get_lidar
@@ -69,8 +69,9 @@ def corrupt(
             that needs boxes or other agents.
         DataError: points, boxes or rings of a wrong shape or value, or the cloud lacks what the kind needs.
     """
-    of, settings = settings_of(kind, severity, family, preset)
-    frame: dict[str, Any] = {"family": of, "boxes": boxes, "index": index, "speed": speed}
+    of, _ = settings_of(kind, severity, family, preset)
+    condition = Condition(kind, DEFAULT_SEVERITY if severity is None else severity, of, preset=preset)
+    frame: dict[str, Any] = {"boxes": boxes, "index": index, "speed": speed}
     if boxes is not None and on_vehicle is not None:
         raise SettingsError(complaint("corrupt", "boxes", "either boxes or on_vehicle", "both"))
     if isinstance(points, Sweep):
@@ -78,13 +79,13 @@ def corrupt(
         if found := [name for name, value in given.items() if value is not None]:
             raise SettingsError(f"corrupt: a sweep has its own; leave out {found[0]}")
         labelled = bool((points.object_id >= 0).any())
-        return corrupt_sweep(points, kind, settings, seed, labelled=labelled, **frame)
+        return corrupt_sweep(points, condition, seed, labelled=labelled, **frame)
     cloud = cloud_of(points, ring)
     spec = get_lidar(sensor) if isinstance(sensor, str) else sensor
     if on_vehicle is not None and np.shape(on_vehicle) != (len(cloud),):
         raise DataError(complaint("corrupt", "on_vehicle", f"a mask of shape ({len(cloud)},)", np.shape(on_vehicle)))
     before = cloud.sweep(spec, on_vehicle)
-    after = corrupt_sweep(before, kind, settings, seed, labelled=on_vehicle is not None, **frame)
+    after = corrupt_sweep(before, condition, seed, labelled=on_vehicle is not None, **frame)
     return array_of(cloud.of(after), np.asarray(points).dtype)
 
 
@@ -114,30 +115,28 @@ def array_of(table: NDArray[np.void], dtype: np.dtype) -> NDArray[np.generic]:
 
 def corrupt_sweep(
     sweep: Sweep,
-    kind: str,
-    settings: object,
+    condition: Condition,
     seed: int,
     *,
-    family: Family,
     boxes: ArrayLike | None = None,
     labelled: bool = False,
     index: int = 0,
     time_s: float | None = None,
     speed: float = SPEED_MPS,
 ) -> Sweep:
-    """Return a sweep under a corruption, as that of the only agent of a frame.
+    """Return a sweep under a condition, as that of the only agent of a frame.
 
-    Arguments and errors are those of `corrupt`, and `settings` and `family` those of `settings_of`. Ids of a `labelled`
-    sweep tell which points are on objects; `time_s` is that of the frame, s, None for 0.1 s times its number.
+    The other arguments and the errors are those of `corrupt`. Ids of a `labelled` sweep tell which points are on
+    objects; `time_s` is that of the frame, s, None for 0.1 s times its number.
     """
     if seed < 0 or index < 0:
         raise SettingsError(complaint("corrupt", "seed and index", "at least 0", f"{seed} and {index}"))
-    if kind == CLEAN:
+    if condition.kind == CLEAN:
         return sweep
     time_s = INTERVAL_S * index if time_s is None else time_s
     truth, velocity = _truth(sweep, boxes, labelled)
-    corruption = CORRUPTIONS[kind]
-    where = f"corruption '{kind}'"
+    corruption = CORRUPTIONS[condition.kind]
+    where = f"corruption '{condition.kind}'"
     if corruption.spares_ego:
         raise SettingsError(complaint(where, "points", "frames of several agents, as in a drive", "a single cloud"))
     if corruption.of_objects and len(truth) == 0:
@@ -151,7 +150,7 @@ def corrupt_sweep(
     counts = np.zeros((1, len(truth)), np.int32)
     frame = Frame(index, time_s, (agent,), truth, velocity, counts)
     try:
-        done = corrupt_frame(frame, kind, DEFAULT_SEVERITY, seed, family, settings=settings)
+        done = condition.apply(frame, seed)
     except DataError as error:
         raise DataError(str(error).removeprefix(f"frame {index}: agent 0: ")) from None
     return done.agents[0].sweep

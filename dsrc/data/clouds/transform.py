@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.clouds.cloud import rows_of
 from dsrc.data.clouds.corrupt import array_of, cloud_of, corrupt_sweep
-from sensors.corruptions import CLEAN, SEVERITIES, Family, require_corruption, settings_of
+from sensors.corruptions import CLEAN, SEVERITIES, Condition, Family, require_corruption
 from sensors.presets import get_lidar
 from sim.errors import DataError, SettingsError, complaint
 from sim.streams import Stream, random_generator
@@ -107,8 +107,8 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
             return points, None
         cloud = cloud_of(rows, self.ring)
         spec = None if self.sensor is None else get_lidar(self.sensor)
-        family, settings = settings_of(str(kind), int(level), self.family)
-        sweep = corrupt_sweep(cloud.sweep(spec), str(kind), settings, int(seed), family=family, boxes=boxes)
+        condition = Condition(str(kind), int(level), self.family)
+        sweep = corrupt_sweep(cloud.sweep(spec), condition, int(seed), boxes=boxes)
         return _like(points, array_of(cloud.of(sweep), rows.dtype)), rows_of(sweep)
 
 

@@ -17,7 +17,8 @@ import msgspec
 from dsrc.data.checksums import CHECKSUMS
 from dsrc.data.datasets.manifest import MANIFEST, VERSION, Manifest, ManifestEntry, read_manifest, write_manifest
 from dsrc.data.datasets.spec import DatasetSpec, DriveItem, expand, find_split_file, read_dataset
-from dsrc.data.drive_folder import check_same, read_settings
+from dsrc.data.drive_folder import read_settings
+from dsrc.data.formats.opv2v.reader import PROTOCOL
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
 from dsrc.data.write import make_drive, settle_encounter
 from dsrc.options.drives import BuildOptions
@@ -25,6 +26,7 @@ from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
 from dsrc.runs.jobs import results_of, run_jobs
 from dsrc.runs.lock import locked
+from dsrc.runs.series import check_same
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import file_sha256
 
@@ -128,7 +130,7 @@ def _check_out(out: Path, dataset: DatasetSpec, items: Sequence[DriveItem]) -> N
         settings = read_settings(out / item.path)
         if settings is not None and item.spec.scenario.conflict is None:
             settings.pop("agents", None)
-            check_same(out / item.path, settings, item.spec.settings())
+            check_same(out / item.path / PROTOCOL, settings, item.spec.settings())
 
 
 def _make_all(

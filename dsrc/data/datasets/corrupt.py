@@ -1,30 +1,34 @@
 """Corruption of a dataset: its drives under one corruption, written as OPV2V trees; scans go to `corrupt_scans`.
 
-Frames are independent of each other (`corrupt_frame`): their bytes are the same for any number of workers, and existing
-frames are skipped. The protocol of a corrupted drive is that of its source with one more entry in
+A drive is a series of frames, see `dsrc.runs.series`. Its protocol is that of its source with one more entry in
 `testbed.corruptions`: a drive can be corrupted more than once. The entry holds the hash of the corruptions' code: a
-drive that another version began is not resumed.
+drive that another version began is resumed only where it is named in `reuse`.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from dsrc.data.clouds.files import is_scan
 from dsrc.data.datasets.corrupt_scans import corrupt_scans
 from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_condition
-from dsrc.data.drive_folder import check_same, is_complete, read_settings, write_protocol
+from dsrc.data.drive_folder import is_complete, read_settings, write_protocol
 from dsrc.data.drives import Drive, find_drives, open_drive, path_below
-from dsrc.data.formats.opv2v.reader import agent_table, lists_connected_vehicles, own_settings, write_frame
+from dsrc.data.formats.opv2v.reader import (
+    PROTOCOL,
+    agent_table,
+    frame_files,
+    lists_connected_vehicles,
+    own_settings,
+    write_frame,
+)
 from dsrc.options.drives import CorruptOptions
 from dsrc.options.fields import takes_fields
-from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
-from dsrc.runs.jobs import run_jobs
-from dsrc.runs.lock import locked
+from dsrc.runs.executors import SERIAL, Pool, Progress
+from dsrc.runs.series import Series
 from sensors.corruptions import CLEAN, CORRUPTIONS, corrupt_frame
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint
-from sim.files import remove_leftovers
 from sim.kept.code_hash import code_hash
 
 
@@ -62,61 +66,71 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
     if options.sensor is not None:
         raise SettingsError("corrupt: drives know their LiDARs; leave out --sensor")
     jobs = [CorruptionJob(drive, out / path_below(data, drive), drive.name, options) for drive in drives]
+    earlier = [Path(given).resolve() for given in options.reuse]
+    places = [[given / path_below(data, job.source) for given in earlier] for job in jobs]
+    for given, folders in zip(earlier, zip(*places, strict=True), strict=True):
+        if not any(map(read_settings, folders)):
+            raise DataError(complaint(given, "reuse", f"corrupted drives, each with its {PROTOCOL}", "none"))
     readers = [open_drive(job.source) for job in jobs]
     total, done = sum(map(len, readers)), 0
     with pool.open(max(map(len, readers))) as executor:
-        for job, reader in zip(jobs, readers, strict=True):
-            _corrupt_drive(job, reader, executor, progress, done, total)
+        for job, reader, reuse in zip(jobs, readers, places, strict=True):
+            frames = [FrameJob(job, row) for row in range(len(reader))]
+            _series(job, reader, executor.chunk).run(frames, executor, progress, done, total, reuse)
             done += len(reader)
     return [job.out for job in jobs]
 
 
-def _corrupt_drive(
-    job: CorruptionJob, reader: Drive, executor: Executor, progress: Progress | None, done: int, total: int
-) -> None:
-    """Write the missing frames of a drive.
+@dataclass(frozen=True, slots=True)
+class FrameJob:
+    """Frame to corrupt: its drive and its place there."""
 
-    Args:
-        progress: called with frames done and frames in all.
-        done: frames of the drives before.
-    """
+    drive: CorruptionJob
+    row: int
+
+
+def _series(job: CorruptionJob, reader: Drive, chunk: int) -> Series[FrameJob, Frame]:
+    """Return the frames of a drive as a series, its protocol as their record."""
     protocol = _protocol(job, reader)
-    with locked(job.out):
-        found = read_settings(job.out)
-        if found is not None:
-            found.pop("agents", None)
-            check_same(job.out, found, {k: v for k, v in protocol["testbed"].items() if k != "agents"})
-            missing = [i for i, index in enumerate(reader.frames) if not is_complete(job.out, reader.agents, index)]
-        else:
-            missing = list(range(len(reader)))
-        if missing and found is None:
-            # The first frame has the sensors of the protocol; without a protocol a folder has no complete frame.
-            frame = corrupted(job, reader, missing[0])
-            protocol["testbed"]["agents"] = agent_table(frame)
-            write_protocol(job.out, protocol)
-            _write(job, reader, frame)
-            missing = missing[1:]
-        chunks = [missing[k : k + executor.chunk] for k in range(0, len(missing), executor.chunk)]
-        done += len(reader) - len(missing)
-        items = [(job, chunk) for chunk in chunks]
-        run_jobs(_corrupt_frames, items, executor, progress, list(map(len, chunks)), done, total)
-        remove_leftovers(job.out)
 
+    def note(first: Frame) -> None:
+        """Write the protocol with the sensors of the first frame."""
+        write_protocol(job.out, {**protocol, "testbed": {**protocol["testbed"], "agents": agent_table(first)}})
 
-def corrupted(job: CorruptionJob, reader: Drive, i: int) -> Frame:
-    """Return the i-th frame of a drive under its corruption."""
-    # The number of the file is that of the random stream and of the new file.
-    frame, options = replace(reader.read(i), index=reader.frames[i]), job.options
-    try:
-        return run_condition(options).apply(frame, job.drive_seed)
-    except DataError as error:
-        raise DataError(f"{job.source}: {error}") from None
-
-
-def _write(job: CorruptionJob, reader: Drive, frame: Frame) -> None:
-    write_frame(
-        job.out, frame, lists_connected_vehicles(reader.protocol), reader.plans(reader.frames.index(frame.index))
+    return Series(
+        folder=job.out,
+        what="drive",
+        record=PROTOCOL,
+        settings={name: value for name, value in protocol["testbed"].items() if name != "agents"},
+        stored=_stored,
+        note=note,
+        make=corrupted,
+        write=_write,
+        files=lambda folder, frame: frame_files(folder, reader.agents, reader.frames[frame.row]),
+        fresh=lambda folder, frame: is_complete(folder, reader.agents, reader.frames[frame.row]),
+        chunk=chunk,
     )
+
+
+def _stored(drive: Path) -> dict | None:
+    found = read_settings(drive)
+    return None if found is None else {name: value for name, value in found.items() if name != "agents"}
+
+
+def corrupted(job: FrameJob) -> Frame:
+    """Return a frame under its corruption."""
+    reader = _reader(job.drive.source)
+    # The number of the file is that of the random stream and of the new file.
+    frame = replace(reader.read(job.row), index=reader.frames[job.row])
+    try:
+        return run_condition(job.drive.options).apply(frame, job.drive.drive_seed)
+    except DataError as error:
+        raise DataError(f"{job.drive.source}: {error}") from None
+
+
+def _write(job: FrameJob, frame: Frame) -> None:
+    reader = _reader(job.drive.source)
+    write_frame(job.drive.out, frame, lists_connected_vehicles(reader.protocol), reader.plans(job.row))
 
 
 def _protocol(job: CorruptionJob, reader: Drive) -> dict:
@@ -132,14 +146,6 @@ def _protocol(job: CorruptionJob, reader: Drive) -> dict:
     if not own:
         return {"testbed": {"frames": len(reader), "corruptions": [entry]}}
     return {**reader.protocol, "testbed": {**own, "corruptions": [*own.get("corruptions", []), entry]}}
-
-
-def _corrupt_frames(item: tuple[CorruptionJob, list[int]], progress: Progress) -> None:
-    """Write these frames of a drive; a task."""
-    job, rows = item
-    reader = _reader(job.source)
-    for i in rows:
-        _write(job, reader, corrupted(job, reader, i))
 
 
 @lru_cache(maxsize=1)

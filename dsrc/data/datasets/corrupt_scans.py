@@ -29,16 +29,14 @@ from dsrc.data.clouds.files import (
     vehicles_among,
 )
 from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_condition
-from dsrc.data.drive_folder import check_same
 from dsrc.data.jsonio import read_json
 from dsrc.options.drives import CorruptOptions
 from dsrc.runs.executors import Pool, Progress
-from dsrc.runs.jobs import run_jobs
-from dsrc.runs.lock import locked
+from dsrc.runs.series import Series
 from sensors.corruptions import CORRUPTIONS, EVERYONE
 from sensors.presets import get_lidar
 from sim.errors import DataError, SettingsError, complaint
-from sim.files import remove_leftovers, write_file
+from sim.files import write_file
 from sim.kept.code_hash import code_hash
 
 MANIFEST = "corruption.json"
@@ -74,7 +72,7 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
         DataError: there are no scans, one cannot be read or lacks what the corruption needs, or the folder holds scans
             of other settings.
     """
-    data, out = Path(options.data), Path(options.out)
+    data, out = Path(options.data), Path(options.out).resolve()
     if options.who != EVERYONE:
         raise SettingsError("corrupt: a scan is of one sensor; leave out --who")
     if options.sensor is not None:
@@ -82,63 +80,77 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
     if not data.is_dir():
         if ending_of(out) != ending_of(data):
             raise SettingsError(complaint("corrupt", "out", f"a file *{ending_of(data)}, as the scan's", out.name))
-        _write(_corrupted(_job(data, out, options)))
+        scan = _job(data, out, options)
+        _write(scan, _corrupted(scan))
         return [out]
     jobs = [_job(path, out / path.relative_to(data), options) for path in scans_below(data)]
     manifest = {**corruption_entry(options, code_hash(__name__)), "sensor": options.sensor}
-    with locked(out, what="folder of scans"):
-        if (out / MANIFEST).exists():
-            check_same(out, read_json(out / MANIFEST, ScanCorruption).corruption, manifest, MANIFEST)
-            missing = [job for job in jobs if not _is_done(job)]
-        else:
-            # Settings that the first scan refuses are not noted: the folder stays free for others.
-            first, missing = _corrupted(jobs[0]), jobs[1:]
-            write_file(out / MANIFEST, msgspec.json.format(msgspec.json.encode({"corruption": manifest})) + b"\n")
-            _write(first)
-        chunks = [missing[k : k + _CHUNK] for k in range(0, len(missing), _CHUNK)]
-        run_jobs(_corrupt_chunk, chunks, pool, progress, list(map(len, chunks)), len(jobs) - len(missing))
-        remove_leftovers(out)
+
+    def note(first: dict[Path, bytes]) -> None:
+        write_file(out / MANIFEST, msgspec.json.format(msgspec.json.encode({"corruption": manifest})) + b"\n")
+
+    scans = Series(
+        folder=out,
+        what="folder of scans",
+        record=MANIFEST,
+        settings=manifest,
+        stored=_stored,
+        note=note,
+        make=_corrupted,
+        write=_write,
+        files=lambda folder, job: _files(job, folder / job.out.relative_to(out)),
+        fresh=lambda folder, job: _is_fresh(job, folder / job.out.relative_to(out)),
+        chunk=_CHUNK,
+    )
+    earlier = [Path(given).resolve() for given in options.reuse]
+    for given in earlier:
+        if _stored(given) is None:
+            raise DataError(complaint(given, "reuse", f"a folder of corrupted scans, with {MANIFEST}", "none"))
+    scans.run(jobs, pool, progress, reuse=earlier)
     return [job.out for job in jobs]
+
+
+def _stored(folder: Path) -> dict[str, Any] | None:
+    path = folder / MANIFEST
+    return read_json(path, ScanCorruption).corruption if path.exists() else None
 
 
 def _job(source: Path, out: Path, options: CorruptOptions) -> CorruptionJob:
     return CorruptionJob(source, out, "/".join(source.resolve().parts[-3:-1]), options)
 
 
-def _is_done(job: CorruptionJob) -> bool:
+def _files(job: CorruptionJob, out: Path) -> list[Path]:
+    """Return the files of a scan that is corrupted to a path: that of its labels before its own."""
+    if not labels_of(job.source).is_file():
+        return [out]
+    return [labels_of(out) if out.parent.name == job.source.parent.name else out.with_suffix(".label"), out]
+
+
+def _is_fresh(job: CorruptionJob, out: Path) -> bool:
     """Return whether the new file is there, and not older than its source."""
-    return job.out.is_file() and job.out.stat().st_mtime_ns >= job.source.stat().st_mtime_ns
+    return out.is_file() and out.stat().st_mtime_ns >= job.source.stat().st_mtime_ns
 
 
-def _corrupt_chunk(jobs: list[CorruptionJob], progress: Progress) -> None:
-    """Write some scans; a task."""
-    for job in jobs:
-        _write(_corrupted(job))
-
-
-def _write(files: dict[Path, bytes]) -> None:
+def _write(job: CorruptionJob, files: dict[Path, bytes]) -> None:
     for path, content in files.items():
         write_file(path, content)
 
 
 def _corrupted(job: CorruptionJob) -> dict[Path, bytes]:
-    """Return the files of a corrupted scan, that of its labels before its own."""
+    """Return the `_files` of a corrupted scan."""
     scan, options, labels = read_scan(job.source), job.options, None
     if labels_of(job.source).is_file():
         labels = read_labels(labels_of(job.source), len(scan.cloud))
     boxes = kitti_boxes(job.source) if labels is None and CORRUPTIONS[options.corruption].of_objects else None
     name = options.sensor or scan.sensor
     index, time_s = frame_number(job.source)
-    condition = run_condition(options)
+    spec = None if name is None else get_lidar(name)
+    on_vehicle = None if labels is None else vehicles_among(labels)
     try:
         after = corrupt_sweep(
-            scan.cloud.sweep(
-                None if name is None else get_lidar(name), None if labels is None else vehicles_among(labels)
-            ),
-            options.corruption,
-            condition.resolved(),
+            scan.cloud.sweep(spec, on_vehicle),
+            run_condition(options),
             job.drive_seed,
-            family=condition.family,
             boxes=boxes,
             labelled=labels is not None,
             index=index,
@@ -146,13 +158,11 @@ def _corrupted(job: CorruptionJob) -> dict[Path, bytes]:
         )
     except (DataError, SettingsError) as error:
         raise type(error)(f"{job.source}: {error}") from None
-    files = {job.out: scan.encode(scan.cloud.of(after))}
-    if labels is None:
-        return files
-    row = rows_of(after)
-    kept = np.where(row < 0, 0, np.append(labels, 0)[row]).astype("<u4")
-    alike = job.out.parent.name == job.source.parent.name
-    return {labels_of(job.out) if alike else job.out.with_suffix(".label"): kept.tobytes(), **files}
+    contents = [scan.encode(scan.cloud.of(after))]
+    if labels is not None:
+        row = rows_of(after)
+        contents.insert(0, np.where(row < 0, 0, np.append(labels, 0)[row]).astype("<u4").tobytes())
+    return dict(zip(_files(job, job.out), contents, strict=True))
 
 
 def frame_number(path: Path) -> tuple[int, float]:

@@ -18,6 +18,7 @@ from dsrc.data.formats.opv2v.record import read_plan
 from dsrc.data.write import write_drive
 from dsrc.runs.executors import Pool
 from dsrc.runs.lock import LOCK, locked
+from dsrc.runs.study import reused
 from sensors.corruptions import corrupt_frame, drive_seed
 from sim.errors import DataError, SettingsError
 from tests.dsrc.data import dair_tree
@@ -174,13 +175,28 @@ def test_a_folder_of_other_settings_is_refused_by_name(data: Path, tmp_path: Pat
         corrupt_dataset(data, tmp_path / "out", **{**settings, **change})
 
 
-def test_a_run_that_other_code_began_is_not_resumed(
+def test_a_run_that_other_code_began_goes_on_only_when_asked(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    corrupt_dataset(data, tmp_path / "out", "beam_missing")
+    out = tmp_path / "out"
+    corrupt_dataset(data, out, "beam_missing", severity=5)
+    before, (code, _) = tree(out), [read_settings(out / name)["corruptions"][0]["code"] for name in ("one", "two")]
+    (out / "one/1000/000003.yaml").unlink()
     monkeypatch.setattr("dsrc.data.datasets.corrupt.code_hash", lambda entry: "0" * 64)
-    with pytest.raises(DataError, match=r"data_protocol.yaml: corruptions\[0\].code: expected '0000"):
-        corrupt_dataset(data, tmp_path / "out", "beam_missing")
+    for given in ((), (tmp_path / "nowhere",)):
+        with pytest.raises(DataError, match=r"corruptions\[0\].code: expected '0000.*--reuse|nowhere: reuse: expected"):
+            corrupt_dataset(data, out, "beam_missing", severity=5, reuse=given)
+    with pytest.raises(DataError, match=r"corruptions\[0\].severity: expected 4"):
+        corrupt_dataset(data, out, "beam_missing", severity=4, reuse=(out,))
+    for place in (out, tmp_path / "anew"):
+        corrupt_dataset(data, place, "beam_missing", severity=5, reuse=(out,))
+        assert reused(place / "two") == {f"-1/{number:06d}.yaml": code for number in range(1, 5)}
+        assert read_settings(place / "one")["corruptions"][0]["code"] == "0" * 64
+        now = tree(place)
+        assert now.keys() - before.keys() == {"one/reused.json", "two/reused.json"}
+        assert {name for name in before if now[name] != before[name]} == {
+            f"{name}/data_protocol.yaml" for name in ("one", "two")
+        }
 
 
 def test_another_source_under_the_same_name_is_refused(data: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from dsrc.data.datasets.corrupt_scans import MANIFEST, frame_number
 from dsrc.data.formats.kitti import encode_labels
 from dsrc.data.formats.pcd import encode_table, read_table
 from dsrc.runs.executors import Pool
+from dsrc.runs.study import reused
 from sensors.corruptions import drive_seed
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
@@ -67,6 +68,24 @@ def test_finished_scans_are_skipped_and_missing_ones_made(kitti: Path, tmp_path:
     assert made[1].stat().st_size == 50 * 16
     with pytest.raises(DataError, match=f"{MANIFEST}: severity: expected 5"):
         corrupt_dataset(kitti, out, "noise", severity=5)
+
+
+def test_scans_that_other_code_made_are_taken_when_asked(
+    kitti: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    made = corrupt_dataset(kitti, out, "noise")
+    whole = tree(out)
+    made[1].unlink()
+    monkeypatch.setattr("dsrc.data.datasets.corrupt_scans.code_hash", lambda entry: "0" * 64)
+    with pytest.raises(DataError, match=f"{MANIFEST}: code: expected '0000.*--reuse"):
+        corrupt_dataset(kitti, out, "noise")
+    with pytest.raises(DataError, match="reuse: expected a folder of corrupted scans"):
+        corrupt_dataset(kitti, out, "noise", reuse=(kitti,))
+    corrupt_dataset(kitti, out, "noise", reuse=(out,))
+    assert sorted(reused(out)) == [f"training/velodyne/{number:06d}.bin" for number in range(2, 19)]
+    changed = {name for name, content in tree(out).items() if content != whole.get(name)}
+    assert changed == {MANIFEST, "reused.json"}
 
 
 def test_the_scans_of_one_folder_share_their_dead_beams(kitti: Path, tmp_path: Path) -> None:
