@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import Sample, cloud_of, users_in
+from dsrc.data.sample import DetectorSettings, Sample, cloud_of, users_in
 from dsrc.models.compression import TILE_CELLS, message_bytes
 from dsrc.models.fusion import FUSIONS
-from dsrc.ops.anchors import Users
+from dsrc.models.settings import ModelSettings, fusion_of
 from dsrc.ops.grid import GridSpec
 from sensors.corruptions.clock_offset import extrapolate, sensor_path
 from sensors.corruptions.pose_error import PoseError, pose_errors
@@ -29,9 +29,6 @@ from sim.streams import Stream, random_generator
 
 Payload = Callable[[Frame, int], int]
 """(frame, row of an agent) -> bytes of its message."""
-
-_CLOUDS = ("", "early")
-"""Fusions that receive points: early fusion, and detectors without a `fusion`."""
 
 
 class Receiver:
@@ -45,13 +42,18 @@ class Receiver:
     """
 
     def __init__(
-        self, spec: ChannelSpec, seed: int, interval_s: float, settings: object, joined: Sequence[object] = ()
+        self,
+        spec: ChannelSpec,
+        seed: int,
+        interval_s: float,
+        settings: DetectorSettings,
+        joined: Sequence[DetectorSettings] = (),
     ) -> None:
         self.channel = Channel(spec, seed, interval_s)
-        alone = getattr(settings, "fusion", "") in _CLOUDS  # one cloud is for all of them
-        parts = [payload_of(one, spec) for one in ((settings,) if alone else (settings, *joined))]
+        self._fusion = fusion_of(settings)
+        # One cloud is for all of them.
+        parts = [payload_of(one, spec) for one in (settings, *(() if self._fusion == "early" else joined))]
         self.payload: Payload = lambda frame, row: sum(part(frame, row) for part in parts)
-        self._fusion = getattr(settings, "fusion", "")
 
     def receive(
         self, frames: Sequence[Frame], position: int, sample: Sample, grid: GridSpec
@@ -79,8 +81,8 @@ class Receiver:
             if sent is not frames[0] or believed is not sender.sweep.world_from_lidar:
                 pose = ego_from_world @ believed
                 cloud = cloud_of(sent, sent.agents.index(sender), pose, grid)
-            if self._fusion in _CLOUDS:
-                cloud = cloud[_received(len(cloud), link.arrived)]
+            if self._fusion == "early":  # points are sent in order
+                cloud = cloud[link.arrived[np.arange(len(cloud)) * len(link.arrived) // max(len(cloud), 1)]]
             rows.append(row)
             poses.append(pose)
             clouds.append(cloud)
@@ -97,7 +99,7 @@ class Receiver:
 
     def _lost_tiles(self, link: Link, grid: GridSpec) -> NDArray[np.bool_]:
         """Return the lost tiles of the sender's features; lists of boxes and clouds have no tiles."""
-        if self._fusion in (*_CLOUDS, "late") or link.arrived.all():
+        if self._fusion in ("early", "late") or link.arrived.all():
             return _ALL_ARRIVED
         return lost_tiles(link.arrived, grid.height // TILE_CELLS, grid.width // TILE_CELLS)
 
@@ -136,11 +138,6 @@ class Receiver:
 _ALL_ARRIVED = np.zeros((0, 0), bool)
 
 
-def _received(points: int, arrived: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the (points,) mask of points in packets that arrived; points are sent in order."""
-    return arrived[np.arange(points) * len(arrived) // max(points, 1)]
-
-
 class _Snapshots(Sequence[RadioSnapshot]):
     """Radio snapshots of frames, made on access: most messages are of the newest two."""
 
@@ -168,7 +165,7 @@ def snapshot_of(frame: Frame, index: int, payload: Payload) -> RadioSnapshot:
     return RadioSnapshot(index, ids, antennas(frame), tuple(payload(frame, row) for row in range(len(ids))), sight)
 
 
-def payload_of(settings: Any, spec: ChannelSpec) -> Payload:
+def payload_of(settings: DetectorSettings, spec: ChannelSpec) -> Payload:
     """Return the message size of agents for a detector.
 
     Features: the tiles of the maps that its method sends, in numbers of `settings.bits` (`dsrc.models.compression`),
@@ -177,15 +174,14 @@ def payload_of(settings: Any, spec: ChannelSpec) -> Payload:
     detections. Early fusion: clouds.
 
     Args:
-        settings: `ModelSettings` of the detector; without a `fusion` it reads clouds, of 16 bytes a point.
+        settings: without those of `ModelSettings` a detector reads clouds, of 16 bytes a point.
     """
-    fusion = getattr(settings, "fusion", "")
-    if fusion == "late":
-        users: Users = getattr(settings, "users", "vehicles")
-        return lambda frame, row: cpm_bytes(int(((frame.points_on[row] >= 1) & users_in(frame.truth, users)).sum()))
-    if fusion in _CLOUDS:
+    if not isinstance(settings, ModelSettings) or settings.fusion == "early":
         return lambda frame, row: 16 * len(frame.agents[row].sweep)
-    method = FUSIONS[fusion]
+    if settings.fusion == "late":
+        users = settings.users
+        return lambda frame, row: cpm_bytes(int(((frame.points_on[row] >= 1) & users_in(frame.truth, users)).sum()))
+    method = FUSIONS[settings.fusion]
     message = message_bytes(settings, method.values_sent(settings), method.channels_sent(settings))
     size = math.ceil(message / spec.compression)
     return lambda frame, row: size

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Protocol
 import msgspec
 from msgspec import Meta
 
-from dsrc.data.sample import COMM_RANGE_M, OPENCOOD_RANGE_M, JudgedBy, SampleRequest, TeamBy
+from dsrc.data.sample import COMM_RANGE_M, OPENCOOD_RANGE_M, DetectorSettings, JudgedBy, SampleRequest, TeamBy
 from dsrc.ops.anchors import Users
 from dsrc.ops.grid import GridSpec
 from sim.errors import did_you_mean
@@ -16,6 +16,11 @@ Backbone = Literal["res2net", "resnet", "plain"]
 Count = Annotated[int, Meta(ge=1)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Size = Annotated[float, Meta(gt=0)]
+
+
+def fusion_of(settings: DetectorSettings) -> str:
+    """Return a detector's fusion; one without `ModelSettings` reads the agents' clouds, as early fusion does."""
+    return settings.fusion if isinstance(settings, ModelSettings) else "early"
 
 
 class FusionKind(Protocol):

@@ -3,14 +3,14 @@
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import torch
 
 from dsrc.data.sample import Sample, SampleDetector
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.fusion.late import join_detections
-from dsrc.models.inputs.batch import collate
+from dsrc.models.inputs.batch import collate, with_agents
+from dsrc.models.settings import fusion_of
 from dsrc.ops.detections import Detections
 
 Team = tuple[int, ...]
@@ -30,11 +30,11 @@ def team_detections(detector: SampleDetector, sample: Sample) -> list[Detections
     early fusion, corrected poses and detectors of one's own run once per team.
     """
     teams = teams_of(len(sample.clouds))
-    fusion = getattr(detector.settings, "fusion", "")
+    fusion = fusion_of(detector.settings)
     if fusion == "none":
         return [detector.detect(sample)] * len(teams)
     if not isinstance(detector, Detector) or fusion == "early" or detector.settings.align_poses:
-        return [detector.detect(team_sample(sample, team)) for team in teams]
+        return [detector.detect(with_agents(sample, team)) for team in teams]
     settings, device = detector.settings, detector.cls_head.weight.device
     batch = collate([sample], settings, training=False).to(device)
     if batch.student is None:
@@ -51,15 +51,6 @@ def team_detections(detector: SampleDetector, sample: Sample) -> list[Detections
             fused = detector.fuse([part[rows] for part in maps], team_layout(batch.layout, team))
             found += detector.decode(detector.heads(stages, fused).float())
     return found
-
-
-def team_sample(sample: Sample, team: Team) -> Sample:
-    """Sample of a team; the ground truth stays."""
-    per_agent: dict[str, Any] = {
-        name: tuple(part[row] for row in team) if (part := getattr(sample, name)) else ()
-        for name in ("agent_ids", "clouds", "agent_boxes", "lost", "corrupted")
-    }
-    return replace(sample, **per_agent, ego_from_agent=sample.ego_from_agent[np.array(team)])
 
 
 def team_layout(layout: AgentLayout, team: Team) -> AgentLayout:

@@ -40,12 +40,8 @@ def frame_report(view: FrameView) -> str:
 
 def notice(view: FrameView) -> str:
     """Explanation of missing detections in a frame, and counts of the methods drawn over the judged one."""
-    compared = [one for one in view.compared if one.counts is not None]
-    rows = "\n".join(
-        f"| {quoted(one.name)} | {one.counts.tp} | {one.counts.fp} | {one.counts.fn} |"
-        for one in compared
-        if one.counts is not None
-    )
+    compared = [(quoted(one.name), one.counts) for one in view.compared if one.counts is not None]
+    rows = "\n".join(f"| {name} | {c.tp} | {c.fp} | {c.fn} |" for name, c in compared)
     table = f"| over it | TP | FP | FN |\n|:--|--:|--:|--:|\n{rows}" if rows else ""
     return "\n\n".join(part for part in (quoted(view.notice), table) if part)
 
@@ -92,7 +88,9 @@ def _object_card(details: ObjectDetails) -> str:
         match = "" if math.isnan(details.score) else f", score {details.score:.2f}, IoU {details.iou:.2f}"
         detected = f"\n\n**{details.verdict}**{match}"
     rows = "\n".join(
-        f"| {s.agent} | {_points(s.points, s.points_left)} | {_percent(s.fraction)} |" for s in details.visibility
+        f"| {s.agent} | {s.points}{'' if s.points == s.points_left else f' → {s.points_left}'} "
+        f"| {'–' if math.isnan(s.fraction) else f'{100 * s.fraction:.0f} %'} |"
+        for s in details.visibility
     )
     table = f"| | points | visible |\n|:--|--:|--:|\n{rows}"
     place = f"{_size(details.size)} · {details.distance_m:.1f} m away · {details.speed:.1f} m/s{change}{lights}{lane}"
@@ -123,50 +121,52 @@ def _size(size: tuple[float, float, float]) -> str:
     return " × ".join(f"{side:.1f}" for side in size) + " m"
 
 
-def _points(before: int, after: int) -> str:
-    return str(before) if before == after else f"{before} → {after}"
+def box_legend(view: FrameView) -> list[tuple[Rgb, str, str]]:
+    """Colours of the boxes, what they mean, and the names of their counts in an exported page, "" without one."""
+    other = (palette.OTHER, "object, not evaluated", "other")
+    if view.help is not None:
+        return [
+            (palette.TRUTH, "object, coloured by who helped most", "found"),
+            (palette.TRUTH, "false detection, crossed, by who made it", "made"),
+            (palette.FP, "red cross: an agent lowers the score", "harmed"),
+            (palette.FN, "missed by all, dashed", "missed"),
+            other,
+        ]
+    if not view.labelled:
+        return [(palette.TRUTH, "detection, not judged", "detected")]
+    if view.counts is None:
+        return [(palette.TRUTH, "object in sight of an agent", "objects"), other]
+    return [
+        (palette.TP, "true positive", "tp"),
+        (palette.FP, "false positive, crossed", "fp"),
+        (palette.FN, "false negative, dashed", "fn"),
+        (palette.TRUTH, "detected object", ""),
+        (palette.OTHER, "object, not evaluated", ""),
+    ]
 
 
-def _percent(share: float) -> str:
-    return "–" if math.isnan(share) else f"{100 * share:.0f} %"
+def fate_legend(view: FrameView) -> list[tuple[Rgb, str]]:
+    """Colours of the points by what a corruption did to them, and what they mean; none by other colours."""
+    fates = [(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items()]
+    return [*fates, (palette.LOST, palette.LOST_NAME)] if view.color_by == "fate" else []
 
 
 def legend(view: FrameView) -> str:
     """HTML of the legend."""
-    agents = scale_bar(view.color_by)
-    agents += "".join(_legend_row(agent.rgb, _title(agent)) for agent in view.agents)
-    if view.color_by == "fate":
-        agents += "".join(_legend_row(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items())
-        agents += _legend_row(palette.LOST, palette.LOST_NAME)
-    for row, method in enumerate(view.compared):
-        agents += _legend_row(
-            palette.method_color(row + 1), f"{method.name}: found, false crossed, missed dashed", True
-        )
+    rows: list[tuple[Rgb, str, bool]] = [(agent.rgb, _title(agent), False) for agent in view.agents]
+    rows += [(*row, False) for row in fate_legend(view)]
+    for number, method in enumerate(view.compared, start=1):
+        rows.append((palette.method_color(number), f"{method.name}: found, false crossed, missed dashed", True))
     if view.moment is not None:
-        agents += _legend_row(palette.method_color(1), "track, with its way in a second; thick where it decides", True)
-        agents += _legend_row(view.ego.rgb, "plan of three seconds; messages received")
-        agents += _legend_row(palette.FP, "message lost, dashed")
-        agents += _legend_row(palette.FATE_COLORS[SCATTERED], "false object that a helper claims, crossed", True)
-    other = _legend_row(palette.OTHER, "object, not evaluated", True)
-    if view.help is not None:
-        helped = (
-            (palette.TRUTH, "object, coloured by who helped most"),
-            (palette.TRUTH, "false detection, crossed, by who made it"),
-            (palette.FP, "red cross: an agent lowers the score"),
-            (palette.FN, "missed by all, dashed"),
-        )
-        return _box(agents + "".join(_legend_row(rgb, text, True) for rgb, text in helped) + other)
-    if not view.labelled:
-        return _box(agents + _legend_row(palette.TRUTH, "detection, not judged", True))
-    if view.counts is None:
-        return _box(agents + _legend_row(palette.TRUTH, "object in sight of an agent", True) + other)
-    verdicts = (
-        (palette.TP, "true positive"),
-        (palette.FP, "false positive, crossed"),
-        (palette.FN, "false negative, dashed"),
-        (palette.TRUTH, "detected object"),
-    )
-    return _box(agents + "".join(_legend_row(rgb, text, True) for rgb, text in verdicts) + other)
+        rows += [
+            (palette.method_color(1), "track, with its way in a second; thick where it decides", True),
+            (view.ego.rgb, "plan of three seconds; messages received", False),
+            (palette.FP, "message lost, dashed", False),
+            (palette.FATE_COLORS[SCATTERED], "false object that a helper claims, crossed", True),
+        ]
+    rows += [(rgb, text, True) for rgb, text, _ in box_legend(view)]
+    lines = "".join(_legend_row(*row) for row in rows)
+    return f'<div style="padding:.2em 1em .4em;font-size:.82em;line-height:1.6">{scale_bar(view.color_by)}{lines}</div>'
 
 
 def fates_table(view: FrameView) -> str:
@@ -205,7 +205,7 @@ def scale_bar(color_by: ColorBy) -> str:
     if color_by not in bars:
         return ""
     table, (first, name, last), middle = bars[color_by]
-    stops = ",".join("rgb({},{},{})".format(*rgb) for rgb in table[:: len(table) // 15].tolist())
+    stops = ",".join(palette.css(rgb) for rgb in table[:: len(table) // 15].tolist())
     texts = (first, f"{middle} {name}".strip(), last)
     names = "".join(f"<span>{escape(text)}</span>" for text in texts)
     return (
@@ -223,11 +223,7 @@ def _thousands(count: int) -> str:
     return f"{count:,}".replace(",", "\u2009")
 
 
-def _box(rows: str) -> str:
-    return f'<div style="padding:.2em 1em .4em;font-size:.82em;line-height:1.6">{rows}</div>'
-
-
-def _legend_row(rgb: Rgb, text: str, outlined: bool = False) -> str:
+def _legend_row(rgb: Rgb, text: str, outlined: bool) -> str:
     color = palette.css(rgb)
     fill = f"border:2px solid {color};border-radius:2px" if outlined else f"background:{color};border-radius:50%"
     # A line around it shows white on a white panel.

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.sample import Sample, inside_range
+from dsrc.models.inputs.batch import with_agents
 from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import Augmentation
 from sim.boxes import Boxes
@@ -49,7 +50,7 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     drop, mirrors, turn, grow = rng.random(), rng.random(2) < 0.5, rng.uniform(-1, 1), rng.uniform(-1, 1)
     others = rng.permutation(np.arange(1, len(sample.clouds)))[: rng.integers(len(sample.clouds))]
     if drop < augmentation.dropout:
-        sample = with_agents(sample, [0, *sorted(others.tolist())])
+        sample = with_some(sample, [0, *sorted(others.tolist())])
     signs = np.where(mirrors & augmentation.flip, -1.0, 1.0)
     angle = float(np.radians(augmentation.rotation_deg * turn))
     scale = 1 + augmentation.scale * grow
@@ -81,24 +82,15 @@ def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
     return replace(sample, corrupted=tuple(kept))
 
 
-def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
+def with_some(sample: Sample, rows: Sequence[int]) -> Sample:
     """Select agents, the ego first, and the ground truth that they have annotated.
 
     The others' clouds go to `other_clouds`: the teacher of a student of few agents stays dense.
     """
     dropped = tuple(cloud for row, cloud in enumerate(sample.clouds) if row not in rows)
-    agent_boxes = tuple(sample.agent_boxes[row] for row in rows)
-    known = np.isin(sample.boxes.object_id, np.concatenate([boxes.object_id for boxes in agent_boxes]))
-    return replace(
-        sample,
-        agent_ids=tuple(sample.agent_ids[row] for row in rows),
-        clouds=tuple(sample.clouds[row] for row in rows),
-        ego_from_agent=sample.ego_from_agent[list(rows)],
-        boxes=sample.boxes[known],
-        agent_boxes=agent_boxes,
-        other_clouds=(*sample.other_clouds, *dropped),
-        corrupted=tuple(sample.corrupted[row] for row in rows if sample.corrupted),
-    )
+    chosen = with_agents(sample, rows)
+    known = np.isin(sample.boxes.object_id, np.concatenate([boxes.object_id for boxes in chosen.agent_boxes]))
+    return replace(chosen, boxes=sample.boxes[known], other_clouds=(*sample.other_clouds, *dropped))
 
 
 def _cloud(cloud: NDArray[np.float32], plane: NDArray[np.float64], lift: float, grid: GridSpec) -> NDArray[np.float32]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -160,23 +161,20 @@ def fusion_samples(sample: Sample, settings: ModelSettings) -> list[Sample]:
     Most fusions take up to `max_agents` agents in one sample, `none` the ego alone; `early` joins the agents' clouds
     into one, the ego's first; `late` makes each agent's cloud a sample of its own with the boxes that it annotated.
     """
+    count = min(len(sample.clouds), settings.max_agents)
     if settings.fusion == "early":
         seen = sample.corrupted[: settings.max_agents]
         return [
             replace(
-                _select(sample, slice(0, 1), sample.boxes),
+                with_agents(sample, (0,)),
                 clouds=(np.concatenate(sample.clouds[: settings.max_agents]),),
                 corrupted=(np.concatenate(seen),) if seen else (),
                 agent_boxes=(sample.boxes,),
             )
         ]
     if settings.fusion == "late":
-        return [
-            _select(sample, slice(row, row + 1), sample.agent_boxes[row])
-            for row in range(min(len(sample.clouds), settings.max_agents))
-        ]
-    count = 1 if settings.fusion == "none" else settings.max_agents
-    return [_select(sample, slice(0, count), sample.boxes)]
+        return [replace(with_agents(sample, (row,)), boxes=sample.agent_boxes[row]) for row in range(count)]
+    return [with_agents(sample, range(1 if settings.fusion == "none" else count))]
 
 
 def _clouds_of_others(part: Sample, whole: Sample, settings: ModelSettings) -> list[NDArray[np.float32]]:
@@ -186,17 +184,13 @@ def _clouds_of_others(part: Sample, whole: Sample, settings: ModelSettings) -> l
     return [*others, *whole.other_clouds]
 
 
-def _select(sample: Sample, rows: slice, boxes: Boxes) -> Sample:
-    return replace(
-        sample,
-        agent_ids=sample.agent_ids[rows],
-        clouds=sample.clouds[rows],
-        ego_from_agent=sample.ego_from_agent[rows],
-        boxes=boxes,
-        agent_boxes=sample.agent_boxes[rows],
-        lost=sample.lost[rows],
-        corrupted=sample.corrupted[rows],
-    )
+def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
+    """Return a sample of some of its agents; the ground truth stays."""
+    per_agent: dict[str, Any] = {
+        name: tuple(part[row] for row in rows) if (part := getattr(sample, name)) else ()
+        for name in ("agent_ids", "clouds", "agent_boxes", "lost", "corrupted")
+    }
+    return replace(sample, **per_agent, ego_from_agent=sample.ego_from_agent[list(rows)])
 
 
 def _student_pillars(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dsrc.evaluation.detection_table import join_tables
 from dsrc.evaluation.metrics.ap import Curve
-from dsrc.review.errors.filters import ANY, FN, FP, KINDS, POOR, ErrorFilter
+from dsrc.review.errors.filters import FN, FP, KINDS, POOR, ErrorFilter
 from dsrc.review.errors.judged import UNKNOWN, JudgedRun
 from dsrc.review.matching import Counts
 from dsrc.review.sources.base import Setup
@@ -137,7 +137,6 @@ class ErrorIndex:
         Args:
             threshold: least score of a detection.
             iou: least bird's-eye IoU of a true positive.
-            only: which of them; None for all.
             poor_iou: IoU below which a true positive is poor.
         """
         only, names = only or ErrorFilter(), list(self.runs)
@@ -181,9 +180,9 @@ def _columns(
     truth = np.concatenate([missed, poor])
     by = matches.found_by[truth]
     near = run.nearest[false]
+    points = np.concatenate([table.points, np.full((1, 4), -1, np.int32)])
     kind = np.repeat(np.array([FN, POOR, FP], np.uint8), [len(missed), len(poor), len(false)])
     frame = np.concatenate([run.truth_frame_of[truth], run.frame_of[false]])
-    of_near = _appended(table.points)[near]
     errors = {
         "kind": kind,
         "method": np.full(len(kind), number, np.int64),
@@ -197,15 +196,14 @@ def _columns(
         "object_id": np.concatenate([table.object_id[truth], np.append(table.object_id, -1)[near]]),
         "rank": np.concatenate([rank[by], run.rank[false]]),
         "distance_m": np.concatenate([run.truth_distance_m[truth], run.distance_m[false]]),
-        "points": np.concatenate([table.points[truth], of_near]),
+        "points": np.concatenate(
+            [table.points[truth], np.concatenate([table.points, np.full((1, 4), -1, np.int32)])[near]]
+        ),
         "seen_by": np.concatenate([run.visibility[truth], np.append(run.visibility, np.uint8(UNKNOWN))[near]]),
     }
     errors["loss"] = error_loss(kind, errors["score"], errors["iou"], errors["points"][:, 3])
     kept = np.isin(kind, [KINDS.index(name) for name in only.kinds])
-    if only.score != ANY:
-        kept &= only.score.holds(errors["score"])
-    kept &= only.iou.holds(errors["iou"])
-    if only.of_objects:
+    if only.classes or only.seen_by:
         # A false detection has the properties of the object that it overlaps most.
         kept[kind == FP] &= np.append(objects, False)[near]
     return {name: column[kept] for name, column in errors.items()}
@@ -217,11 +215,6 @@ def _missed_iou(run: JudgedRun, missed: NDArray[np.int64], found_by: NDArray[np.
     iou = run.best_iou[missed].copy()
     iou[by >= 0] = run.iou_with(by[by >= 0], missed[by >= 0])
     return iou
-
-
-def _appended(points: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Points with a row of -1 at the end, that of no object."""
-    return np.concatenate([points, np.full((1, 4), -1, np.int32)])
 
 
 def worst_frames(errors: ErrorTable, rows: NDArray[np.int64]) -> FrameRanking:

@@ -2,18 +2,17 @@
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.evaluation.metrics.ap import Curve
-from dsrc.review.errors.changes import Changes
 from dsrc.review.errors.filters import ANY, FP, KINDS, ErrorFilter, Span
-from dsrc.review.errors.index import ErrorIndex, ErrorTable, FrameRanking, worst_frames
-from dsrc.review.frames import FrameStore
+from dsrc.review.errors.index import ErrorTable, FrameRanking, worst_frames
+from dsrc.review.errors.judgements import Judgements
 from dsrc.review.matching import Counts
-from dsrc.review.sources.base import Setup, Source
+from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import IOU_THRESHOLDS, METHOD, Band, ReviewState, other_run
 from sensors.corruptions import CLEAN
@@ -23,42 +22,6 @@ from sim.errors import SettingsError, complaint
 BROKEN, FIXED = "broken", "fixed"
 _REPORTS_KEPT = 6
 BANDS: tuple[Band, ...] = get_args(Band)
-
-
-class Runs(Protocol):
-    """What reports are made from; `ReviewModel` is it.
-
-    Attributes:
-        sources: what is reviewed.
-        stores: frames of each source.
-    """
-
-    sources: list[Source]
-    stores: list[FrameStore]
-
-    def frame_count(self, drive: int) -> int:
-        """Return the number of frames of a source."""
-        ...
-
-    def method(self, state: ReviewState) -> str:
-        """Return the set of detections that is judged; "" without one."""
-        ...
-
-    def setup(self, state: ReviewState) -> Setup:
-        """Return the setup of the detections."""
-        ...
-
-    def index(self, state: ReviewState) -> ErrorIndex:
-        """Return the errors of the run, of all its methods."""
-        ...
-
-    def changes(self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None) -> Changes:
-        """Return what changes from one state to another."""
-        ...
-
-    def origin(self, drive: int) -> NDArray[np.float64]:
-        """Return the (3,) world position of the review frame's origin, m."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +58,7 @@ def filter_of(state: ReviewState) -> ErrorFilter:
     )
 
 
-def versus_options(model: Runs, state: ReviewState) -> dict[str, str]:
+def versus_options(model: Judgements, state: ReviewState) -> dict[str, str]:
     """Runs that a state can be compared with: displayed names and values of `ReviewState.versus`."""
     own, sets = model.method(state), model.sources[state.drive].sets
     options = {"clean" if state.corruption != CLEAN else "none": ""}
@@ -104,7 +67,7 @@ def versus_options(model: Runs, state: ReviewState) -> dict[str, str]:
     return options | {name: f"{METHOD}{name}" for name in sets if name != own}
 
 
-def listed_errors(model: Runs, state: ReviewState) -> ErrorTable:
+def listed_errors(model: Judgements, state: ReviewState) -> ErrorTable:
     """Errors that a state lists, the worst first.
 
     What is broken is missed by the run of the state and found by the other; what is fixed is missed by the other.
@@ -130,7 +93,7 @@ def listed_errors(model: Runs, state: ReviewState) -> ErrorTable:
     return missed[np.array([key in pairs for key in keys], bool)]
 
 
-def report(model: Runs, state: ReviewState) -> RunReport:
+def report(model: Judgements, state: ReviewState) -> RunReport:
     """Report of the run under a state, as far as its detections are known.
 
     Raises:
@@ -138,28 +101,20 @@ def report(model: Runs, state: ReviewState) -> RunReport:
     """
     index, only, method = model.index(state), filter_of(state), model.method(state)
     curves = {(name, iou): curve for iou in IOU_THRESHOLDS for name, curve in index.curves(iou, only).items()}
-    before = other_run(state)
+    rows = np.asarray(index.runs[method].table.position, np.int64)
+    before, versus = other_run(state), ""
+    if before is not None:
+        shown = "the ego alone" if before.cooperative != state.cooperative else model.method(before)
+        versus = CLEAN if before.corruption != state.corruption else shown
     return RunReport(
         errors=listed_errors(model, state),
         curves=curves,
         counts=index.counts(state.threshold, state.iou, only),
-        frames=_ranking(index, state, replace(only, methods=(method,))),
+        frames=worst_frames(index.errors(state.threshold, state.iou, replace(only, methods=(method,))), rows),
         known=len(model.sources[state.drive].sets[method].rows(model.setup(state))),
         total=model.frame_count(state.drive),
-        versus="" if before is None else _title(model, state, before),
+        versus=versus,
     )
-
-
-def _ranking(index: ErrorIndex, state: ReviewState, only: ErrorFilter) -> FrameRanking:
-    (method,) = only.methods
-    rows = np.asarray(index.runs[method].table.position, np.int64)
-    return worst_frames(index.errors(state.threshold, state.iou, only), rows)
-
-
-def _title(model: Runs, state: ReviewState, before: ReviewState) -> str:
-    if before.corruption != state.corruption:
-        return CLEAN
-    return "the ego alone" if before.cooperative != state.cooperative else model.method(before)
 
 
 def selection_of(errors: ErrorTable, row: int) -> dict[str, Any]:
@@ -185,7 +140,7 @@ def shown_error(errors: ErrorTable, state: ReviewState) -> int:
     return int(found[0]) if len(found) else -1
 
 
-def place_of(model: Runs, drive: int, errors: ErrorTable, row: int) -> NDArray[np.float64]:
+def place_of(model: Judgements, drive: int, errors: ErrorTable, row: int) -> NDArray[np.float64]:
     """(3,) centre of an error in the review frame; raises DataError where its frame is damaged."""
     frame = model.stores[drive].recorded(int(errors.row[row]))
     ego = int(errors.ego_id[row])
@@ -203,7 +158,7 @@ def curve_on_grid(curve: Curve, recall: NDArray[np.float64]) -> NDArray[np.float
     return np.where(at < len(best), np.append(best, np.nan)[np.minimum(at, len(best))], np.nan)
 
 
-def to_detect(model: Runs, state: ReviewState) -> list[tuple[str, Setup]]:
+def to_detect(model: Judgements, state: ReviewState) -> list[tuple[str, Setup]]:
     """Computed sets and setups that the report of a state needs and that lack frames."""
     before = other_run(state)
     wanted = [(name, model.setup(state)) for name in state.methods or (model.method(state),)]
@@ -216,7 +171,7 @@ def to_detect(model: Runs, state: ReviewState) -> list[tuple[str, Setup]]:
     ]
 
 
-def first_unknown(model: Runs, state: ReviewState, step: int) -> int | None:
+def first_unknown(model: Judgements, state: ReviewState, step: int) -> int | None:
     """First frame from a state's on in a direction whose detections can be computed and are not; None without one."""
     count = model.frame_count(state.drive)
     ahead = range(state.frame, count) if step > 0 else range(state.frame, -1, -1)
@@ -236,7 +191,7 @@ _FIELDS = (
 class Reports:
     """Reports of a page, the latest kept; one thread at a time."""
 
-    def __init__(self, model: Runs) -> None:
+    def __init__(self, model: Judgements) -> None:
         self._model = model
         self._known: dict[tuple[Any, ...], tuple[tuple[int, ...], float, RunReport]] = {}
 
@@ -248,7 +203,14 @@ class Reports:
         """
         key = tuple(getattr(state, name) for name in _FIELDS)
         before = other_run(state)
-        counts = tuple(self._count(one) for one in (state, before) if one is not None)
+        counts = tuple(
+            sum(
+                len(self._model.sources[one.drive].sets[name].rows(self._model.setup(one)))
+                for name in one.methods or (self._model.method(one),)
+            )
+            for one in (state, before)
+            if one is not None
+        )
         kept = self._known.get(key)
         if kept is not None and (kept[0] == counts or time.monotonic() < kept[1] + patience_s):
             return kept[2]
@@ -257,7 +219,3 @@ class Reports:
         while len(self._known) > _REPORTS_KEPT:
             del self._known[next(iter(self._known))]
         return made
-
-    def _count(self, state: ReviewState) -> int:
-        sets, setup = self._model.sources[state.drive].sets, self._model.setup(state)
-        return sum(len(sets[name].rows(setup)) for name in state.methods or (self._model.method(state),))

@@ -8,10 +8,10 @@ import json
 from dataclasses import dataclass
 from html import escape
 
-from dsrc.review import palette
 from dsrc.review.page.browser import HONEST_COLORS
-from dsrc.review.palette import LOST_NAME, Rgb
-from dsrc.review.texts import scale_bar
+from dsrc.review.page.cameras import CameraPose
+from dsrc.review.palette import Rgb, css
+from dsrc.review.texts import box_legend, fate_legend, scale_bar
 from dsrc.review.view import OTHER_TRUTH, FrameView
 
 _CSS = """
@@ -55,12 +55,11 @@ window.addEventListener('keydown',e=>{const b=document.querySelector('#review bu
 
 @dataclass(frozen=True, slots=True)
 class CameraButton:
-    """Camera button: name, key, position and point looked at, review frame."""
+    """Camera button: name, key and pose in the review frame."""
 
     name: str
     key: str
-    position: tuple[float, float, float]
-    look_at: tuple[float, float, float]
+    pose: CameraPose
 
 
 def frame_texts(view: FrameView) -> dict[str, str]:
@@ -96,7 +95,7 @@ def add_overlay(
     data = {
         "frames": views,
         "interval": interval_s,
-        "cameras": {camera.name: [*camera.position, *camera.look_at] for camera in cameras},
+        "cameras": {camera.name: [*camera.pose.position.tolist(), *camera.pose.look_at.tolist()] for camera in cameras},
     }
     # `</` in a drive's name would end the script element.
     packed = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
@@ -107,16 +106,21 @@ def add_overlay(
     )  # fmt: skip
     if bar := scale_bar(first.color_by):
         agents += f'<li style="display:block;margin-top:6px">{bar}</li>'
-    if first.color_by == "fate":
-        agents += "</ul><ul>"
-        agents += "".join(_row(rgb, "", palette.FATE_NAMES[fate], "") for fate, rgb in palette.FATE_COLORS.items())
-        agents += _row(palette.LOST, "", LOST_NAME, "")
+    if fates := fate_legend(first):
+        agents += "</ul><ul>" + "".join(_row(rgb, "", text, "") for rgb, text in fates)
+    boxes = "".join(
+        _row(rgb, "box dash" if text.endswith("dashed") else "box", text, f'<b id="review-{name}"></b>')
+        for rgb, text, name in box_legend(first)
+        if name
+    )
+    if first.counts is not None and first.help is None and first.labelled:
+        boxes += "".join(f'<li>{name}<b id="review-{name}"></b></li>' for name in ("precision", "recall"))
     buttons = "".join(
         f'<button data-camera="{c.name}" data-key="{c.key}" title="key {c.key}">{c.name}</button>' for c in cameras
     )
     body = (
         f'<style>{_CSS}</style><div id="review"><h1>{escape(title)}</h1><p>{escape(subtitle)}</p>'
-        f'<p id="review-time"></p><ul>{agents}</ul><ul>{_counts_legend(first)}</ul><nav>{buttons}</nav></div>'
+        f'<p id="review-time"></p><ul>{agents}</ul><ul>{boxes}</ul><nav>{buttons}</nav></div>'
         f"<script>window.__REVIEW__={packed};{_JS}{HONEST_COLORS}</script>"
     )
     head = html.index("</head>")
@@ -125,35 +129,6 @@ def add_overlay(
     return html[:end] + body + html[end:]
 
 
-def _counts_legend(view: FrameView) -> str:
-    other = (palette.OTHER, "box", "not evaluated", "other")
-    if view.help is not None:
-        return _counts(
-            (palette.TRUTH, "box", "object, coloured by who helped most", "found"),
-            (palette.TRUTH, "box", "false detection, crossed, by who made it", "made"),
-            (palette.FP, "box", "red cross: an agent lowers the score", "harmed"),
-            (palette.FN, "box dash", "missed by all, dashed", "missed"),
-            other,
-        )
-    if not view.labelled:
-        return _counts((palette.TRUTH, "box", "detection, not judged", "detected"))
-    if view.counts is None:
-        return _counts((palette.TRUTH, "box", "ground truth", "objects"), other)
-    text = _counts(
-        (palette.TP, "box", "true positive", "tp"),
-        (palette.FP, "box", "false positive, crossed", "fp"),
-        (palette.FN, "box dash", "false negative, dashed", "fn"),
-    )
-    shares = "".join(f'<li>{name}<b id="review-{name}"></b></li>' for name in ("precision", "recall"))
-    return text + shares
-
-
-def _counts(*rows: tuple[Rgb, str, str, str]) -> str:
-    """Rows of a colour, a kind of mark, a label and the name of the count in `frame_texts`."""
-    return "".join(_row(rgb, kind, label, f'<b id="review-{name}"></b>') for rgb, kind, label, name in rows)
-
-
 def _row(rgb: Rgb, kind: str, label: str, end: str) -> str:
-    color = f"rgb({rgb[0]},{rgb[1]},{rgb[2]})"
-    style = f"border-color:{color}" if kind else f"background:{color}"
+    style = f"{'border-color' if kind else 'background'}:{css(rgb)}"
     return f'<li><i class="{kind}" style="{style}"></i>{label}{end}</li>'

@@ -31,6 +31,7 @@ PLAN_S = 3.0
 """Duration of the drawn plan, s."""
 _PLAN_STEP_S = 0.1
 _LIDAR_M = 1.9
+"""Height of a LiDAR on the ego, where the pose of its sweeps is not handed over, m."""
 
 
 class EpisodeSource:
@@ -73,7 +74,8 @@ class EpisodeSource:
         newest = tick.percept if tick.percept is not None else before
         boxes, score = (Boxes.zeros(), np.zeros(0)) if newest is None else (newest.boxes, newest.score)
         self._ego_id = ego_id
-        self._lidars.append(_lidar(tick.ego) if sensed is None else sensed.agent(ego_id).sweep.world_from_lidar)
+        usual = _body(tick.ego) @ pose_matrix([0.0, 0.0, _LIDAR_M])
+        self._lidars.append(usual if sensed is None else sensed.agent(ego_id).sweep.world_from_lidar)
         self._percept_set.put(row, self._judged(row, tick, boxes, score))
         self._track_set.put(row, self._judged(row, tick, tick.tracks.boxes, tick.tracks.score))
         self._percepts.append(newest)
@@ -108,7 +110,9 @@ class EpisodeSource:
             raise DataError(complaint(self.name, "frame", expected, row))
         tick, sensed = self._ticks[row], self._sensed.get(row)
         actors = tick.actors
-        agents = (self._without_points(row),) if sensed is None else sensed.agents
+        empty = make_sweep(np.zeros((0, 3)), self._lidars[row], actors.time_s)
+        alone = AgentFrame(self._ego_id, "vehicle", _body(tick.ego), tick.ego.speed_mps, empty)
+        agents = (alone,) if sensed is None else sensed.agents
         return Frame(
             index=row,
             time_s=actors.time_s,
@@ -121,11 +125,6 @@ class EpisodeSource:
             lane=actors.lane,
         )
 
-    def _without_points(self, row: int) -> AgentFrame:
-        tick = self._ticks[row]
-        sweep = make_sweep(np.zeros((0, 3)), self._lidars[row], tick.actors.time_s)
-        return AgentFrame(self._ego_id, "vehicle", _body(tick.ego), tick.ego.speed_mps, sweep)
-
     def moment(self, row: int) -> EpisodeMoment:
         """Return what the ego saw, believed and planned at a step."""
         tick, newest = self._ticks[row], self._percepts[row]
@@ -134,13 +133,9 @@ class EpisodeSource:
             time_s=tick.ego.time_s,
             plan=plan_of(tick.ego, tick.decision.acceleration_mps2),
             route=tick.ego.route,
-            percept=Boxes.zeros() if newest is None else newest.boxes,
-            percept_score=np.zeros(0) if newest is None else newest.score,
             percept_age_s=np.nan if newest is None else tick.ego.time_s - newest.time_s,
             tracks=tick.tracks.boxes,
             track_velocity=tick.tracks.velocity,
-            position_sd=tick.tracks.position_sd,
-            unseen_s=tick.tracks.unseen_s,
             links=_links(newest, tick.actors, tick.ego),
             claims=concatenate([actors.boxes for _, actors in claims]),
             claimed_by=tuple(name for name, actors in claims for _ in range(len(actors))),
@@ -152,20 +147,11 @@ class EpisodeSource:
 
     def timeline(self) -> EpisodeTimeline:
         """Return the course of the episode so far."""
-        ticks, newest = self._ticks[:], self._percepts[: len(self._ticks)]
-        heard = [0 if one is None else sum(link.received for link in one.links) for one in newest]
-        ages = [
-            np.nan if one is None else tick.ego.time_s - one.time_s for tick, one in zip(ticks, newest, strict=True)
-        ]
+        ticks = self._ticks[:]
         return EpisodeTimeline(
             time_s=np.array([tick.ego.time_s for tick in ticks]),
             speed_mps=np.array([tick.ego.speed_mps for tick in ticks]),
             wanted_mps2=np.array([tick.decision.acceleration_mps2 for tick in ticks]),
-            reason=tuple(tick.decision.reason for tick in ticks),
-            percept_age_s=np.array(ages, np.float64),
-            tracks=np.array([len(tick.tracks) for tick in ticks], np.int64),
-            received=np.array(heard, np.int64),
-            claims=np.array([sum(map(len, tick.claims.values())) for tick in ticks], np.int64),
             contact_row=next((row for row, tick in enumerate(ticks) if tick.contact is not None), None),
             outcome=self._outcome,
             message=self._message,
@@ -232,20 +218,10 @@ def _body(ego: EgoState) -> NDArray[np.float64]:
     return np.asarray(pose_matrix(foot, ego.box.yaw[0]), np.float64)
 
 
-def _lidar(ego: EgoState) -> NDArray[np.float64]:
-    """World pose of a LiDAR on the ego, where that of its sweeps is not handed over."""
-    return _body(ego) @ pose_matrix([0.0, 0.0, _LIDAR_M])
-
-
 def _links(percept: Percept | None, actors: Actors, ego: EgoState) -> Links:
     links = () if percept is None else percept.links
     places = dict(zip(actors.boxes.object_id.tolist(), actors.boxes.center, strict=True))
     unknown = np.full(3, np.nan)
     line = [[places.get(link.sender, unknown), ego.box.center[0]] for link in links]
-    return Links(
-        sender=np.array([link.sender for link in links], np.int64),
-        line=np.array(line, np.float64).reshape(-1, 2, 3),
-        received=np.array([link.received for link in links], bool),
-        bytes=np.array([link.bytes for link in links], np.int64),
-        age_s=np.array([link.age_s for link in links], np.float64),
-    )
+    received = np.array([link.received for link in links], bool)
+    return Links(np.array(line, np.float64).reshape(-1, 2, 3), received)

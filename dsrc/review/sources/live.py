@@ -23,6 +23,7 @@ class LiveSource:
         protocol: of the drive that is made; empty without one.
         seed: of the corruptions.
         sets: sets of detections by name.
+        ended: whether no more frames come.
 
     Args:
         kept: number of frames that are kept.
@@ -41,8 +42,8 @@ class LiveSource:
         self.sets: dict[str, DetectionSet] = {}
         self._frames: deque[Frame] = deque(maxlen=kept)
         self._count = 0
-        self._labelled = self._ended = False
-        self._changed = threading.Condition()
+        self._labelled = self.ended = False
+        self._lock = threading.Lock()
 
     def put(self, frame: Frame, detections: Mapping[str, DetectionTable] | None = None) -> int:
         """Add the newest frame and the detections in it by method, and return its row.
@@ -50,8 +51,8 @@ class LiveSource:
         Raises:
             ValueError: the source has ended, a table is not one of this row, or a set of that name is computed.
         """
-        with self._changed:
-            if self._ended:
+        with self._lock:
+            if self.ended:
                 raise ValueError(f"{self.name} has ended")
             row = self._count
             for name, table in (detections or {}).items():
@@ -65,25 +66,12 @@ class LiveSource:
             for each in self.sets.values():
                 if isinstance(each, MemorySet):
                     each.forget(self.first)
-            self._changed.notify_all()
         return row
 
     def end(self) -> None:
         """Mark that no more frames come."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
-
-    @property
-    def ended(self) -> bool:
-        """Whether no more frames come."""
-        return self._ended
-
-    def wait(self, count: int, timeout_s: float) -> bool:
-        """Wait until there are more frames than `count`, or no more come; return whether there are more."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._count > count or self._ended, timeout_s)
-            return self._count > count
+        with self._lock:
+            self.ended = True
 
     def __len__(self) -> int:
         return self._count
@@ -99,7 +87,7 @@ class LiveSource:
         Raises:
             DataError: it has not come yet, or is no longer kept.
         """
-        with self._changed:
+        with self._lock:
             if not self.first <= row < self._count:
                 expected = f"{self.first} to {self._count - 1}" if self._count else "a first frame to come"
                 raise DataError(complaint(self.name, "frame", expected, row))

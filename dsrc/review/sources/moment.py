@@ -21,18 +21,12 @@ class Links:
     """Receptions of the helpers' messages, one row each.
 
     Attributes:
-        sender: (K,) int64 ids.
         line: (K, 2, 3) float64 from sender to ego, world frame, m; NaN where the log does not place the sender.
         received: (K,) bool.
-        bytes: (K,) int64 on air.
-        age_s: (K,) float64 age of the message; NaN without one.
     """
 
-    sender: NDArray[np.int64]
     line: NDArray[np.float64]
     received: NDArray[np.bool_]
-    bytes: NDArray[np.int64]
-    age_s: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,13 +37,9 @@ class EpisodeMoment:
         time_s: the present, s.
         plan: (K, 4) float64 x, y, z, m, and speed, m/s: the route of the next seconds, as the decision has it.
         route: (R, 2) float64 of the ego, m.
-        percept: boxes of the newest percept so far, with their ids.
-        percept_score: (P,) float64.
-        percept_age_s: age of its measurement; NaN without one.
+        percept_age_s: age of the newest measurement; NaN without one.
         tracks: confirmed tracks; ids are numbers of tracks.
         track_velocity: (T, 2) float64 m/s.
-        position_sd: (T,) float64 m.
-        unseen_s: (T,) float64 time since the last detection.
         links: receptions behind the percept.
         claims: false objects that helpers report.
         claimed_by: (C,) names of these helpers.
@@ -62,13 +52,9 @@ class EpisodeMoment:
     time_s: float
     plan: NDArray[np.float64]
     route: NDArray[np.float64]
-    percept: Boxes
-    percept_score: NDArray[np.float64]
     percept_age_s: float
     tracks: Boxes
     track_velocity: NDArray[np.float64]
-    position_sd: NDArray[np.float64]
-    unseen_s: NDArray[np.float64]
     links: Links
     claims: Boxes
     claimed_by: tuple[str, ...]
@@ -83,9 +69,8 @@ class EpisodeMoment:
             self,
             plan=self.plan + np.append(by, 0.0),
             route=self.route + by[:2],
-            percept=_moved(self.percept, by),
-            tracks=_moved(self.tracks, by),
-            claims=_moved(self.claims, by),
+            tracks=replace(self.tracks, center=self.tracks.center + by),
+            claims=replace(self.claims, center=self.claims.center + by),
             links=replace(self.links, line=self.links.line + by),
         )
 
@@ -98,11 +83,6 @@ class EpisodeTimeline:
         time_s: (T,) float64.
         speed_mps: (T,) float64 of the ego.
         wanted_mps2: (T,) float64 acceleration that the driver wants.
-        reason: (T,) what decided.
-        percept_age_s: (T,) float64 age of the newest measurement; NaN before the first.
-        tracks: (T,) int64 number of tracks.
-        received: (T,) int64 messages in the newest percept.
-        claims: (T,) int64 false objects that helpers report.
         contact_row: step of the first contact, None without one.
         outcome: how it ended, or `RUNNING`.
         message: explanation of a failed perception, or "".
@@ -111,15 +91,6 @@ class EpisodeTimeline:
     time_s: NDArray[np.float64]
     speed_mps: NDArray[np.float64]
     wanted_mps2: NDArray[np.float64]
-    reason: tuple[str, ...]
-    percept_age_s: NDArray[np.float64]
-    tracks: NDArray[np.int64]
-    received: NDArray[np.int64]
-    claims: NDArray[np.int64]
     contact_row: int | None
     outcome: str
     message: str
-
-
-def _moved(boxes: Boxes, by: NDArray[np.float64]) -> Boxes:
-    return replace(boxes, center=boxes.center + by)

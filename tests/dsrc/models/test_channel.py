@@ -1,6 +1,7 @@
 """What the ego gets through a channel: nothing changes without loss, and what is late, misplaced or lost shows."""
 
 from dataclasses import replace as changed
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -153,7 +154,7 @@ def test_bytes_are_those_of_what_is_sent() -> None:
     late = ModelSettings(grid=GRID, fusion="late")
     assert payload_of(late, PRESETS["ideal"])(frame, 1) == 156 + 35 * objects
     early = ModelSettings(grid=GRID, fusion="early")
-    for clouds in (object(), early):
+    for clouds in (SimpleNamespace(request=early.request), early):
         assert payload_of(clouds, PRESETS["ideal"])(frame, 1) == 16 * len(frame.agents[1].sweep)
     one_map = ModelSettings(grid=GRID, fusion="cobevt", shrink_channels=32, compress=4)
     assert payload_of(one_map, PRESETS["ideal"])(frame, 0) == 4 * 32 * (GRID.width // 4) * (GRID.height // 4) // 4

@@ -9,8 +9,9 @@ from msgspec.structs import replace as changed
 
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.fusion import FUSIONS
+from dsrc.models.inputs.batch import with_agents
 from dsrc.models.layers.encoder import PillarEncoder
-from dsrc.models.teams import team_detections, team_sample, teams_of
+from dsrc.models.teams import team_detections, teams_of
 from tests.dsrc.models.test_detector import GRID, logits, talkative
 from tests.dsrc.training.drive import frame
 
@@ -43,7 +44,7 @@ def test_a_teams_detections_are_those_without_the_others(sample: Sample, fusion:
     found = team_detections(detector, sample)
     assert sum(map(len, found)) > 5
     for team, part in zip(teams_of(3), found, strict=True):
-        alone = detector.detect(team_sample(sample, team))
+        alone = detector.detect(with_agents(sample, team))
         assert len(part) == len(alone)
         np.testing.assert_allclose(part.score, alone.score, atol=1e-4)
         # Two of nearly the same score may change places.

@@ -9,7 +9,7 @@ from msgspec.structs import replace as replace_setting
 from dsrc.data.sample import Sample, inside_range, make_sample
 from dsrc.models.inputs.batch import collate
 from dsrc.models.layers.encoder import Pillars
-from dsrc.training.augment import augment, source_grid, thinned, with_agents
+from dsrc.training.augment import augment, source_grid, thinned, with_some
 from dsrc.training.recipes import Augmentation, debug
 from tests.dsrc.training.drive import frame
 
@@ -76,7 +76,7 @@ def test_everything_ends_inside_the_grid(sample: Sample) -> None:
 
 
 def test_a_dropped_agent_takes_with_it_what_only_it_has_seen(sample: Sample) -> None:
-    alone = with_agents(sample, [0])
+    alone = with_some(sample, [0])
     assert len(alone.clouds) == 1
     assert set(alone.boxes.object_id) == set(sample.agent_boxes[0].object_id)
     assert len(alone.boxes) < len(sample.boxes)

@@ -17,7 +17,7 @@ from dsrc.options.review import PageOptions
 from dsrc.outputs import COMMENT
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.cameras import CameraPose, birds_eye, chase, overview
+from dsrc.review.page.cameras import birds_eye, chase, overview
 from dsrc.review.page.link import read_link
 from dsrc.review.page.output.screenshot import PATIENCE_S, open_page
 from dsrc.review.page.overlay import CameraButton, add_overlay, frame_texts
@@ -32,7 +32,7 @@ from dsrc.review.page.scene import (
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart
-from sensors.corruptions import CLEAN, EVERYONE, Condition
+from sensors.corruptions import Condition
 from sim.errors import SettingsError, UserError, complaint
 from sim.files import signed_picture, write_file
 
@@ -224,7 +224,7 @@ def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewSt
     serializer.insert_sleep(interval_s)
     html = serializer.as_html(dark_mode=True)
     poses = [("overview", "1", overview), ("chase", "2", chase), ("bird's eye", "3", birds_eye)]
-    cameras = [_button(name, key, make(first)) for name, key, make in poses]
+    cameras = [CameraButton(name, key, make(first)) for name, key, make in poses]
     return add_overlay(html, first.drive, _subtitle(model, states[0]), texts, first, interval_s, cameras)
 
 
@@ -238,18 +238,8 @@ def _world(model: ReviewModel, drive: int) -> list[StaticPart]:
 
 
 def _subtitle(model: ReviewModel, state: ReviewState) -> str:
-    weather = CLEAN
-    if state.corruption != CLEAN:
-        published = " as published" if state.family == "paper" else ""
-        weather = f"{state.corruption.replace('_', ' ')}{published}, level {state.severity}"
-        weather += "" if state.who == EVERYONE else f", {state.who} alone"
+    weather = model.setup(state).condition.label
     labelled = model.labelled(state.drive)
     if not model.has_detector:
         return f"{weather} · ground truth" if labelled else weather
     return f"{weather} · score ≥ {state.threshold:g}" + (f" · IoU ≥ {state.iou:g}" if labelled else "")
-
-
-def _button(name: str, key: str, pose: CameraPose) -> CameraButton:
-    x, y, z = pose.position.tolist()
-    u, v, w = pose.look_at.tolist()
-    return CameraButton(name, key, (x, y, z), (u, v, w))

@@ -146,14 +146,9 @@ FILTERS = {
     "kinds": (ErrorFilter(kinds=("missed",)), lambda e: e.kind == FN),
     "two kinds": (ErrorFilter(kinds=("false", "poor")), lambda e: e.kind != FN),
     "methods": (ErrorFilter(methods=("B",)), lambda e: e.method == 1),
-    "score": (ErrorFilter(score=Span(0.5, 0.8)), lambda e: (e.score >= 0.5) & (e.score <= 0.8)),
-    "iou": (ErrorFilter(iou=Span(0.1, 0.6)), lambda e: (e.iou >= 0.1) & (e.iou <= 0.6)),
     "distance_m": (ErrorFilter(distance_m=Span(20, 50)), lambda e: (e.distance_m >= 20) & (e.distance_m <= 50)),
-    "frames": (ErrorFilter(frames=Span(12, 16)), lambda e: (e.frame >= 12) & (e.frame <= 16)),
     "classes": (ErrorFilter(classes=("van", "bus")), lambda e: np.isin(e.label, (1, 3))),
     "seen_by": (ErrorFilter(seen_by=("helper",)), lambda e: e.seen_by == BY_HELPER),
-    "points": (ErrorFilter(points=Span(0, 20)), lambda e: (e.points[:, 1] >= 0) & (e.points[:, 1] <= 20)),
-    "points_left": (ErrorFilter(points_left=Span(5, 99)), lambda e: (e.points[:, 3] >= 5) & (e.points[:, 3] <= 99)),
 }
 
 
@@ -172,7 +167,7 @@ def test_a_filter_keeps_exactly_the_errors_with_the_property(name, seed) -> None
             )
 
 
-@pytest.mark.parametrize("name", ["distance_m", "frames", "classes", "seen_by", "points", "points_left"])
+@pytest.mark.parametrize("name", ["distance_m", "classes", "seen_by"])
 def test_objects_of_a_filter_and_of_its_opposite_are_all_objects(name: str) -> None:
     run = draw_run(2)
     only = FILTERS[name][0]
@@ -247,6 +242,6 @@ def test_a_wrong_filter_is_one_line() -> None:
         ErrorFilter(classes=("carr",))
     with pytest.raises(SettingsError, match="filter: kinds"):
         ErrorFilter(kinds=("fn",))
-    with pytest.raises(SettingsError, match="filter: score: expected a range from low to high"):
-        ErrorFilter(score=Span(0.9, 0.1))
+    with pytest.raises(SettingsError, match="filter: distance_m: expected a range from low to high"):
+        ErrorFilter(distance_m=Span(9, 1))
     assert ErrorFilter().kinds == KINDS

@@ -47,17 +47,16 @@ def test_frames_are_the_road_users_of_the_steps(log: EpisodeLog, source: Episode
         assert np.isclose(frame.agents[0].world_from_body[2, 3], tick.ego.box.center[0, 2] - 0.8, atol=0.02)
 
 
-def test_a_moment_holds_the_newest_percept_tracks_claims_and_links(log: EpisodeLog, source: EpisodeSource) -> None:
+def test_a_moment_holds_tracks_claims_and_links(log: EpisodeLog, source: EpisodeSource) -> None:
     for row, tick in enumerate(log.ticks):
         moment = source.moment(row)
-        newest = next((t.percept for t in log.ticks[row::-1] if t.percept is not None), None)
-        assert len(moment.percept) == (0 if newest is None else len(newest.boxes)) == len(moment.percept_score)
         np.testing.assert_array_equal(moment.tracks.array, tick.tracks.boxes.array)
         assert (moment.reason, moment.decisive) == (tick.decision.reason, tick.decision.track)
         assert len(moment.claims) == len(moment.claimed_by) == sum(map(len, tick.claims.values()))
-        assert moment.links.line.shape == (len(moment.links.sender), 2, 3)
-        if len(moment.links.sender):
-            np.testing.assert_allclose(moment.links.line[:, 1], tick.ego.box.center[[0] * len(moment.links.sender)])
+        heard = len(moment.links.received)
+        assert moment.links.line.shape == (heard, 2, 3)
+        if heard:
+            np.testing.assert_allclose(moment.links.line[:, 1], tick.ego.box.center[[0] * heard])
     # Step 3 has no percept of its own: that of step 2 is a step older.
     ages = [source.moment(row).percept_age_s for row in (2, 3)]
     assert ages[1] == pytest.approx(ages[0] + 0.1, abs=1e-6)
@@ -66,11 +65,9 @@ def test_a_moment_holds_the_newest_percept_tracks_claims_and_links(log: EpisodeL
 
 def test_a_timeline_says_how_the_episode_went(log: EpisodeLog, source: EpisodeSource) -> None:
     line = source.timeline()
-    assert len(line.time_s) == len(log) == len(line.reason) and (np.diff(line.time_s) > 0).all()
+    assert len(line.time_s) == len(log) and (np.diff(line.time_s) > 0).all()
     contact = next((row for row, tick in enumerate(log.ticks) if tick.contact is not None), None)
     assert line.contact_row == contact and line.outcome == str(log.outcome)
-    np.testing.assert_array_equal(line.tracks, [len(tick.tracks) for tick in log.ticks])
-    np.testing.assert_array_equal(line.claims > 0, [bool(tick.claims) for tick in log.ticks])
 
 
 def test_percepts_and_tracks_are_sets_of_detections_around_the_ego(source: EpisodeSource) -> None:
@@ -146,7 +143,7 @@ def test_detections_are_drawn_where_they_are_however_the_sensor_is_mounted(monke
     model = ReviewModel([source])
     for row in range(4):  # the first two are without their sweeps by now
         state = ReviewState(frame=row)
-        place = model.moment(state).percept.center
+        place = ticks[row].percept.boxes.center + aside - model.origin(0)
         np.testing.assert_allclose(model.view(state).layers["detections/fp"].center, place, atol=1e-5)
         errors = report(model, state).errors
         (ghost,) = np.flatnonzero((errors.row == row) & (errors.kind == FP))
