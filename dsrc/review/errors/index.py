@@ -196,9 +196,7 @@ def _columns(
         "object_id": np.concatenate([table.object_id[truth], np.append(table.object_id, -1)[near]]),
         "rank": np.concatenate([rank[by], run.rank[false]]),
         "distance_m": np.concatenate([run.truth_distance_m[truth], run.distance_m[false]]),
-        "points": np.concatenate(
-            [table.points[truth], np.concatenate([table.points, np.full((1, 4), -1, np.int32)])[near]]
-        ),
+        "points": np.concatenate([table.points[truth], points[near]]),
         "seen_by": np.concatenate([run.visibility[truth], np.append(run.visibility, np.uint8(UNKNOWN))[near]]),
     }
     errors["loss"] = error_loss(kind, errors["score"], errors["iou"], errors["points"][:, 3])
