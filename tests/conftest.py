@@ -1,5 +1,6 @@
 """Property tests draw the same examples in every run; `make test-explore` draws new ones."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ settings.load_profile("steady")
 
 
 @pytest.fixture
-def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Cache folder with nothing in it, of which the process remembers nothing else."""
     from tests.cache import forget  # what it imports is heavy, and few tests need it
 

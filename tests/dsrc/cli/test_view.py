@@ -1,5 +1,6 @@
 """Pictures show what the options and the link say together, and an option that would do nothing is refused."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,9 @@ import pytest
 
 from dsrc.cli.view import View
 from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.review.model import ReviewModel
 from dsrc.review.page.link import read_link
+from dsrc.review.state import ReviewState
 from sim.errors import SettingsError
 from tests.dsrc.review.conftest import street_frame
 
@@ -28,7 +31,13 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
     """What is drawn, in place of its drawing: states and rows."""
     seen: list[tuple] = []
 
-    def pictures(model, link, size, frames=None, start=None):
+    def pictures(
+        model: ReviewModel,
+        link: str,
+        size: tuple[int, int],
+        frames: Sequence[int] | None = None,
+        start: ReviewState | None = None,
+    ) -> Iterator[np.ndarray]:
         state, _, _ = read_link(link, model, start)
         seen.append((state, frames))
         for _ in frames or [state.frame]:

@@ -1,7 +1,8 @@
 """Episodes made by hand: movers on given motions, and what the ego perceives of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
 from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tick, Tracks
 from sim.boxes import CLASSES, Boxes
 from sim.contact import Contact
+from sim.radio import Link
 from sim.scenario import AgentRule, Scenario
 from sim.traffic.base import Actors, Limits
 
@@ -67,7 +69,7 @@ def no_tracks(time_s: float) -> Tracks:
     return Tracks(time_s, Boxes.zeros(), np.zeros((0, 2)), *(np.zeros(0) for _ in range(4)))
 
 
-def percept_of(actors: Actors, rows: Sequence[int], links=()) -> Percept:
+def percept_of(actors: Actors, rows: Sequence[int], links: Iterable[Link] = ()) -> Percept:
     """Percept of some actors, their ids kept."""
     chosen = np.array(rows, np.int64)
     return Percept(actors.time_s, actors.boxes[chosen], np.ones(len(chosen)), actors.velocity[chosen], tuple(links))
@@ -103,7 +105,7 @@ def episode(
     *,
     contact: Contact | None = None,
     sees: Callable[[Actors], Percept | None] = lambda actors: None,
-    **settings,
+    **settings: Any,
 ) -> EpisodeLog:
     """Log of an episode; a contact is in its last tick."""
     before, ticks = ticks_of(movers, steps, sees)

@@ -1,5 +1,7 @@
 """Results of a campaign, made up by hand."""
 
+from typing import Any
+
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
 
@@ -14,7 +16,7 @@ PLAN = Campaign(
 )
 
 
-def one(perception: str, seed: int, outcome: str, corruption: str = "clean", **more) -> EpisodeResult:
+def one(perception: str, seed: int, outcome: str, corruption: str = "clean", **more: Any) -> EpisodeResult:
     metrics = {"collision": float(outcome == "crashed"), "completion": 1.0, "driving_score_2_1": 1.0}
     return EpisodeResult(
         scenario="ima_building",

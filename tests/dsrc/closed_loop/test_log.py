@@ -1,8 +1,10 @@
 """The episode log: all of an episode comes back, small, in equal bytes, and its traffic replays."""
 
 import math
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from tests.dsrc.closed_loop.logged import EGO_ID, SCENARIO, Mover, actors_at, ah
 HIT = Contact(0.75, 1001, "conflict", 12.3456789, 14.1, 7.1, "left", True)
 
 
-def assert_same(left, right, where: str = "log") -> None:
+def assert_same(left: Any, right: Any, where: str = "log") -> None:
     """Assert that two values are equal in every field, numbers bit for bit."""
     assert type(left) is type(right), where
     if is_dataclass(left):
@@ -147,7 +149,7 @@ def test_twenty_seconds_with_a_hundred_actors_are_a_few_hundred_kilobytes(tmp_pa
     rng = np.random.default_rng(0)
     place, speed, phase = rng.uniform(-200, 200, (100, 2)), rng.uniform(0, 15, 100), rng.uniform(0, 6, 100)
 
-    def motion(i: int):
+    def motion(i: int) -> Callable[[float], tuple[float, float]]:
         return lambda t: tuple(place[i] + speed[i] * t * np.array([np.cos(phase[i]), np.sin(phase[i])]))
 
     movers = [Mover(f"v{i}", motion(i)) for i in range(100)]

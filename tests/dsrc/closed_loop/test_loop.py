@@ -5,7 +5,9 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,12 +17,14 @@ from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.truth import TruthPerception
 from dsrc.closed_loop.replay import replay
-from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Percept, Tracks
+from dsrc.closed_loop.types import Decision, Driver, EgoState, LaneMap, Outcome, Percept, Perception, Tracks
 from sensors.recording.encounter_check import LATENCY_S, find_encounter
 from sim.boxes import Boxes
 from sim.catalog.load import load_scenario
 from sim.encounters import ENCOUNTERS
 from sim.errors import TrafficError
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
 from sim.traffic.script import FIRST_ID
 from tests.paths import ROOT
 
@@ -32,13 +36,13 @@ class Blind:
 
     cooperative = False
 
-    def __init__(self, answer=None) -> None:
+    def __init__(self, answer: Callable[[Actors], Any] | None = None) -> None:
         self.answer = answer
 
-    def reset(self, scenario, ego_id: int, seed: int) -> None:
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         pass
 
-    def perceive(self, before, now, claims):
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Any:
         if self.answer is not None:
             return self.answer(now)
         return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
@@ -59,7 +63,7 @@ class BrakeAt:
         return Decision(10.0 * (ego.limits.speed_mps - ego.speed_mps))
 
 
-def drive(name: str, perception=None, driver=None, **settings) -> ClosedLoop:
+def drive(name: str, perception: Perception | None = None, driver: Driver | None = None, **settings: Any) -> ClosedLoop:
     loop = ClosedLoop(name, perception or TruthPerception(), driver, LoopSettings(**settings))
     loop.run(SEED)
     return loop
@@ -104,33 +108,33 @@ def test_tracks_go_on_between_detections() -> None:
     loop.close()
 
 
-def _raise(now) -> None:
+def _raise(now: Actors) -> None:
     raise RuntimeError("out of memory\nat line 3")
 
 
-def _nan(now):
+def _nan(now: Actors) -> Percept:
     return Percept(now.time_s, Boxes.from_array(np.full((1, 7), np.nan)), np.ones(1), np.zeros((1, 2)))
 
 
-def _flat(now):
+def _flat(now: Actors) -> Percept:
     return Percept(now.time_s, Boxes.from_array(np.zeros((1, 7))), np.ones(1), np.zeros((1, 2)))
 
 
-def _far(now):
+def _far(now: Actors) -> Percept:
     boxes = Boxes.from_array([[2e9, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]])
     return Percept(now.time_s, boxes, np.ones(1), np.full((1, 2), np.nan))
 
 
-def _sure(now):
+def _sure(now: Actors) -> Percept:
     boxes = Boxes.from_array([[5.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]])
     return Percept(now.time_s, boxes, np.full(1, 1.5), np.full((1, 2), np.nan))
 
 
-def _early(now):
+def _early(now: Actors) -> Percept:
     return Percept(now.time_s + 1.0, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
 
 
-def _slow(now):
+def _slow(now: Actors) -> Percept:
     time.sleep(0.02)
     return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
 
@@ -149,7 +153,9 @@ def _slow(now):
     ],
     ids=["raises", "nan", "flat", "no percept", "slow", "far", "score", "future"],
 )
-def test_a_perception_that_fails_ends_the_episode_with_its_reason(answer, message: str) -> None:
+def test_a_perception_that_fails_ends_the_episode_with_its_reason(
+    answer: Callable[[Actors], Any], message: str
+) -> None:
     loop = drive("ima_building:no_conflict", Blind(answer), perception_limit_s=0.01)
     assert loop.outcome is Outcome.PERCEPTION_FAILED
     assert message in loop.message and "\n" not in loop.message
@@ -157,7 +163,7 @@ def test_a_perception_that_fails_ends_the_episode_with_its_reason(answer, messag
 
 def test_a_perception_that_fails_at_its_reset_is_an_outcome() -> None:
     class Unready(Blind):
-        def reset(self, scenario, ego_id: int, seed: int) -> None:
+        def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
             raise RuntimeError("no weights")
 
     loop = drive("ima_building:no_conflict", Unready())

@@ -68,7 +68,15 @@ def toy_frame(index: int, seed: int = 0, points: int = 400) -> Frame:
     )
 
 
-def _agent(agent_id, truth, body, lidar, rng, points, time_s):
+def _agent(
+    agent_id: int,
+    truth: Boxes,
+    body: np.ndarray,
+    lidar: np.ndarray,
+    rng: np.random.Generator,
+    points: int,
+    time_s: float,
+) -> AgentFrame:
     """Points scattered over the ground and inside every near object but the own body and object 1004's far side."""
     target = rng.integers(-1, 5, points)
     target[IDS[target] == agent_id] = -1

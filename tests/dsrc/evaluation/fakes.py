@@ -1,16 +1,20 @@
 """Fakes: a detector that reads the truth, a corruption by a number, and a drive from formulas."""
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
 import numpy as np
 
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.sample import SampleRequest
-from dsrc.evaluation.detect import evaluate_drive, frame_positions, join_results
+from dsrc.data.sample import Sample, SampleRequest
+from dsrc.evaluation.detect import Method, evaluate_drive, frame_positions, join_results
 from dsrc.evaluation.metrics.ap import evaluate_matches
-from dsrc.evaluation.results import make_row, summary_rows
+from dsrc.evaluation.results import Row, make_row, summary_rows
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from sensors.corruptions import Condition, corruption_kinds
+from sensors.frame import Frame
 from tests.dsrc.data.toy import toy_frame
 
 GRID = GridSpec(range_m=(-51.2, -25.6, -3, 51.2, 25.6, 3))
@@ -19,12 +23,12 @@ GRID = GridSpec(range_m=(-51.2, -25.6, -3, 51.2, 25.6, 3))
 class PointCounter:
     """Detects exactly the true boxes that hold enough points of the clouds that it is given."""
 
-    def __init__(self, need=3, offset=0.0, grid=GRID) -> None:
+    def __init__(self, need: int = 3, offset: float = 0.0, grid: GridSpec = GRID) -> None:
         self.settings = SampleRequest(grid)
         self.need, self.offset = need, offset
         self.seen = []
 
-    def detect(self, sample):
+    def detect(self, sample: Sample) -> Detections:
         self.seen.append(sample)
         points = np.concatenate([cloud[:, :3] for cloud in sample.clouds])
         counts = sample.boxes.contains(points).sum(axis=1)
@@ -35,12 +39,12 @@ class PointCounter:
         return Detections(type(sample.boxes).from_array(boxes), score)
 
 
-def halve(frame, kind, severity, seed, family="physical", **_):
+def halve(frame: Frame, kind: str, severity: int, seed: int, family: str = "physical", **_: object) -> Frame:
     """Leave every `2 * severity`-th point."""
     return frame.with_sweeps([agent.sweep[:: 2 * severity] for agent in frame.agents])
 
 
-def write_drives(root, drives=2, frames=3):
+def write_drives(root: Path, drives: int = 2, frames: int = 3) -> list[Path]:
     paths = []
     for drive in range(drives):
         path = root / f"drive_{drive}"
@@ -50,7 +54,15 @@ def write_drives(root, drives=2, frames=3):
     return paths
 
 
-def detect_all(methods, drives, corruptions=("clean",), severity=3, seed=0, limit=None, count_frame=lambda: None):
+def detect_all(
+    methods: Sequence[Method],
+    drives: Sequence[Path],
+    corruptions: Sequence[str] = ("clean",),
+    severity: int = 3,
+    seed: int = 0,
+    limit: int | None = None,
+    count_frame: Callable[[], None] = lambda: None,
+) -> list[Row]:
     """Return rows by condition and method, then the summaries: methods in frames of drives, clean and corrupted."""
     conditions = [Condition(), *(Condition(kind, severity) for kind in corruption_kinds(corruptions))]
     readers = [open_drive(drive) for drive in drives]

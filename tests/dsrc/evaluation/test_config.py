@@ -1,6 +1,7 @@
 """Benchmark TOML: it is run as written, and a mistake in it is one line."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -40,7 +41,7 @@ pose_error = [0.0, 0.2]
 """
 
 
-def written(tmp_path: Path, text=GOOD):
+def written(tmp_path: Path, text: str = GOOD) -> Path:
     path = tmp_path / "benchmark.toml"
     path.write_text(text)
     return path
@@ -169,7 +170,7 @@ def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path: Path) -
         ('"snow"]', '"snwo"]', ["toml: corruptions: expected a corruption"]),
     ],
 )
-def test_a_mistake_is_one_line_with_its_place(tmp_path: Path, old: str, new, words: list[str]) -> None:
+def test_a_mistake_is_one_line_with_its_place(tmp_path: Path, old: str, new: str, words: list[str]) -> None:
     assert old in GOOD
     path = written(tmp_path, GOOD.replace(old, new))
     with pytest.raises(SettingsError) as caught:
@@ -243,7 +244,9 @@ def test_a_folder_with_an_equals_sign_is_no_name() -> None:
         ({"checkpoints": ("a.pt",), "data": ("data",), "agents": (0,)}, "agents"),
     ],
 )
-def test_a_file_or_options_describe_a_benchmark_never_both(tmp_path: Path, options, message: str) -> None:
+def test_a_file_or_options_describe_a_benchmark_never_both(
+    tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
     if "plan" in options:
         options = {**options, "plan": written(tmp_path) if options["plan"] == "file" else tmp_path / options["plan"]}
     with pytest.raises(SettingsError, match=message):

@@ -1,17 +1,19 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.sample import OPENCOOD_RANGE_M, SampleRequest, make_sample
+from dsrc.data.sample import OPENCOOD_RANGE_M, Sample, SampleRequest, make_sample
 from dsrc.evaluation.detect import Method, corrupted, first_agents, frame_positions, warn_of_slow_drives
 from dsrc.evaluation.results import find_row
 from dsrc.ops.detections import Detections
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX, Condition, corruption_kinds, drive_seed
+from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from sim.radio import PRESETS
@@ -30,11 +32,11 @@ def _corruptions(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def drives(tmp_path_factory: pytest.TempPathFactory):
+def drives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return write_drives(tmp_path_factory.mktemp("drives"))
 
 
-def test_methods_and_conditions_have_a_row_each_and_two_summaries(drives) -> None:
+def test_methods_and_conditions_have_a_row_each_and_two_summaries(drives: list[Path]) -> None:
     rows = detect_all([Method("a", PointCounter()), Method("b", PointCounter(9))], drives, ("all",))
     labels = [(row.condition, row.method) for row in rows]
     assert labels == [
@@ -46,7 +48,7 @@ def test_methods_and_conditions_have_a_row_each_and_two_summaries(drives) -> Non
     assert all(row.seconds_per_frame > 0 for row in rows[:6])
 
 
-def test_truth_stays_that_of_the_clean_frame(drives) -> None:
+def test_truth_stays_that_of_the_clean_frame(drives: list[Path]) -> None:
     rows = detect_all([Method("a", PointCounter(need=20))], drives, ("fog",), severity=5)
     clean, fog = find_row(rows, "a", "clean"), find_row(rows, "a", "fog")
     assert clean.truth == fog.truth > 0
@@ -58,7 +60,7 @@ def test_truth_stays_that_of_the_clean_frame(drives) -> None:
     assert mean.metrics["ap_bev_50"] == pytest.approx((ap + low) / 2)
 
 
-def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives) -> None:
+def test_the_ego_alone_sees_one_cloud_and_is_judged_by_the_same_truth(drives: list[Path]) -> None:
     together, alone = PointCounter(need=90), PointCounter(need=90)
     rows = detect_all([Method("all", together), Method("ego", alone, agents=1)], drives, ("clean",))
     assert {len(s.clouds) for s in together.seen} == {3}
@@ -79,8 +81,8 @@ def test_judged_by_opencood_a_method_has_the_truth_that_opencood_has(tmp_path: P
     assert rows[0].metrics["ap_opencood_bev_70"] == 1.0
 
 
-def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_beside_it(drives) -> None:
-    def found(*settings):
+def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_beside_it(drives: list[Path]) -> None:
+    def found(*settings: dict[str, Any]) -> list[list[tuple]]:
         methods = [Method(str(k), PointCounter(need=0)) for k in range(len(settings))]
         for method, more in zip(methods, settings, strict=True):
             method.detector.settings = SampleRequest(GRID, **more)
@@ -94,9 +96,9 @@ def test_each_method_is_judged_on_its_own_road_users_and_team_whoever_runs_besid
 
 
 def test_a_helper_whose_pose_is_wrong_stays_in_range_and_what_it_sees_in_the_truth(
-    drives, monkeypatch: pytest.MonkeyPatch
+    drives: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def moved(frame, kind, severity, seed, family="physical", **_):
+    def moved(frame: Frame, kind: str, severity: int, seed: int, family: str = "physical", **_: object) -> Frame:
         """Report the third agent, the roadside unit 21 m away, to be 10 m further off."""
         sweep = frame.agents[2].sweep
         pose = sweep.world_from_lidar.copy()
@@ -114,7 +116,7 @@ def test_a_helper_whose_pose_is_wrong_stays_in_range_and_what_it_sees_in_the_tru
         assert np.abs(one.ego_from_agent[1] - other.ego_from_agent[1]).max() > 5.0
 
 
-def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives) -> None:
+def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives: list[Path]) -> None:
     frame = toy_frame(0)
     whole = make_sample(frame, None, GRID)
     alone, first = make_sample(frame, None, GRID, cooperative=False), first_agents(whole, 1)
@@ -128,10 +130,10 @@ def test_one_agent_is_the_ego_alone_and_more_agents_leave_the_truth(drives) -> N
     assert len({row.truth for row in rows}) == 1
 
 
-def test_each_frame_is_corrupted_once_for_all_methods(drives, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_frame_is_corrupted_once_for_all_methods(drives: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
-    def count(frame, kind, severity, seed, family, **_):
+    def count(frame: Frame, kind: str, severity: int, seed: int, family: str, **_: object) -> Frame:
         calls.append((frame.index, kind, severity, seed, family))
         return halve(frame, kind, severity, seed)
 
@@ -154,26 +156,26 @@ def test_a_condition_says_whose_sweeps_are_corrupted(
     assert seen == [parsed]
 
 
-def test_two_runs_give_the_same_rows(drives) -> None:
+def test_two_runs_give_the_same_rows(drives: list[Path]) -> None:
     first, second = (detect_all([Method("a", PointCounter())], drives, ("all",), seed=1) for _ in range(2))
     assert first == second
 
 
-def test_a_limit_spreads_the_frames_evenly(drives) -> None:
+def test_a_limit_spreads_the_frames_evenly(drives: list[Path]) -> None:
     detector = PointCounter()
     detect_all([Method("a", detector)], drives, ("clean",), limit=3)
     assert [s.key for s in detector.seen] == ["drive_0/1000/000000", "drive_0/1000/000002", "drive_1/1000/000002"]
 
 
-def test_every_frame_is_counted_under_every_condition(drives) -> None:
+def test_every_frame_is_counted_under_every_condition(drives: list[Path]) -> None:
     told = []
     detect_all([Method("a", PointCounter())], drives, ("all",), limit=2, count_frame=lambda: told.append(1))
     assert len(told) == 2 * 3
 
 
-def test_detections_beyond_the_range_are_not_judged(drives) -> None:
+def test_detections_beyond_the_range_are_not_judged(drives: list[Path]) -> None:
     class Beyond(PointCounter):
-        def detect(self, sample):
+        def detect(self, sample: Sample) -> Detections:
             inside = super().detect(sample)
             far = Boxes.from_array([[51.0, 0, 0, 4, 2, 1.5, 0]])
             array = np.concatenate([far.array, inside.boxes.array])
@@ -183,7 +185,7 @@ def test_detections_beyond_the_range_are_not_judged(drives) -> None:
     assert rows[0].metrics == rows[1].metrics
 
 
-def test_a_blind_detector_gets_zeros_and_no_mce(drives) -> None:
+def test_a_blind_detector_gets_zeros_and_no_mce(drives: list[Path]) -> None:
     rows = detect_all([Method("a", PointCounter(need=10**6))], drives, ("fog",))
     assert find_row(rows, "a", "clean").metrics["ap_bev_50"] == 0.0
     assert math.isnan(find_row(rows, "a", "mce").metrics["ap_bev_50"])
@@ -209,7 +211,7 @@ def test_without_a_frame_there_is_nothing_to_evaluate() -> None:
         frame_positions([], None)
 
 
-def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives) -> None:
+def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives: list[Path]) -> None:
     detector = PointCounter()
     methods = [Method("direct", detector)] + [Method(n, detector, channel=PRESETS[n]) for n in ("ideal", "paper")]
     rows = {row.method: row for row in detect_all(methods, drives, ("clean",))}
@@ -221,7 +223,7 @@ def test_channels_are_counted_and_an_ideal_one_changes_no_number(drives) -> None
     assert rows["paper"].bytes_per_frame == 2 * 132_500
 
 
-def test_frames_before_the_first_of_a_limit_are_heard_too(drives) -> None:
+def test_frames_before_the_first_of_a_limit_are_heard_too(drives: list[Path]) -> None:
     row = detect_all([Method("paper", PointCounter(), channel=PRESETS["paper"])], drives[:1], ("clean",), limit=2)[0]
     assert row.heard == 0.5  # the first frame of the drive and the last
 

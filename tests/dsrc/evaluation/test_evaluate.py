@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from dsrc.evaluation.evaluate import evaluate_drives, plan_of_evaluation
-from dsrc.evaluation.results import find_row
+from dsrc.evaluation.results import Row, find_row
 from dsrc.options.detection import Evaluation
 from sim.errors import SettingsError
 from tests.dsrc.evaluation.small import write_detector, write_drives
@@ -38,12 +38,12 @@ def files_in(folder: Path) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def done(world: Path):
+def done(world: Path) -> tuple[Evaluation, list[Row]]:
     config = config_of(world, "out", corruptions=("fog", "beam_missing"), seed=4)
     return config, evaluate_drives(config)
 
 
-def test_an_evaluation_writes_tables_plots_and_what_made_them(done) -> None:
+def test_an_evaluation_writes_tables_plots_and_what_made_them(done: tuple[Evaluation, list[Row]]) -> None:
     config, rows = done
     methods, conditions = ["DSRC", "plain", "DSRC, ego alone"], ["clean", "beam_missing", "fog"]
     assert [(r.condition, r.method) for r in rows[:9]] == [(kind, name) for kind in conditions for name in methods]
@@ -78,13 +78,15 @@ def test_an_evaluation_writes_tables_plots_and_what_made_them(done) -> None:
         assert json.loads(image.text["Description"]) == made_by
 
 
-def test_the_ego_alone_sees_less_of_the_same_truth(done) -> None:
+def test_the_ego_alone_sees_less_of_the_same_truth(done: tuple[Evaluation, list[Row]]) -> None:
     _, rows = done
     together, alone = find_row(rows, "DSRC", "clean"), find_row(rows, "DSRC, ego alone", "clean")
     assert together.truth == alone.truth > 0 and together.metrics != alone.metrics
 
 
-def test_two_evaluations_write_the_same_bytes_and_the_second_computes_nothing(done, world: Path) -> None:
+def test_two_evaluations_write_the_same_bytes_and_the_second_computes_nothing(
+    done: tuple[Evaluation, list[Row]], world: Path
+) -> None:
     config, rows = done
     before = {path: path.stat().st_mtime_ns for path in (config.out / "cells").iterdir()}
     results = {name: (config.out / name).read_bytes() for name in FILES - {"timings.csv"}}

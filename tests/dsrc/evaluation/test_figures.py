@@ -1,10 +1,12 @@
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from PIL import Image
 
 from dsrc.evaluation.figures.bars import corruption_bars, table_heatmap
@@ -19,7 +21,7 @@ from dsrc.tables.table import Column, Stat, Table, TableRow
 from sim.boxes import Boxes
 
 
-def some_rows(methods=("dsrc", "plain", "ego alone")):
+def some_rows(methods: Sequence[str] = ("dsrc", "plain", "ego alone")) -> list[Row]:
     rows = []
     for c, condition in enumerate(("clean", "fog", "snow")):
         for m, method in enumerate(methods):
@@ -28,7 +30,9 @@ def some_rows(methods=("dsrc", "plain", "ego alone")):
     return [*rows, *summary_rows(rows)]
 
 
-def some_sheet(labels=("dsrc", "plain", "ego alone"), columns=("clean", "fog", "snow")):
+def some_sheet(
+    labels: Sequence[str] = ("dsrc", "plain", "ego alone"), columns: Sequence[str] = ("clean", "fog", "snow")
+) -> Table:
     values = [[(Stat(0.9 - 0.1 * c - 0.05 * m), Stat(0.7 - 0.1 * c)) for c in range(len(columns))] for m in range(9)]
     lines = tuple(TableRow(label, tuple(cells)) for label, cells in zip(labels, values, strict=False))
     return Table("x", "A title", "Method", tuple(map(ap_column, columns)), lines)
@@ -118,7 +122,9 @@ def test_curves_are_drawn_where_they_are_known() -> None:
 
 @pytest.mark.parametrize("figure", [corruption_bars, robustness_scatter, precision_recall_curves])
 @pytest.mark.parametrize("rows", [[], some_rows(("one",)), some_rows(tuple("abcdefghij"))])
-def test_every_figure_can_be_saved_and_leaves_no_trace(figure, rows, tmp_path: Path) -> None:
+def test_every_figure_can_be_saved_and_leaves_no_trace(
+    figure: Callable[[list[Row]], Figure], rows: list[Row], tmp_path: Path
+) -> None:
     before = dict(mpl.rcParams)
     path = tmp_path / "figure.png"
     path.write_bytes(png_bytes(figure(rows), {"seed": 5}, dpi=40))

@@ -1,8 +1,10 @@
 """An interrupted benchmark resumes, computes only missing cells, and ends with the same bytes."""
 
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace as changed
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from dsrc.data.drives import list_drives
 from dsrc.evaluation import cells, runner
 from dsrc.evaluation.cache import CellSettings, read_cell
 from dsrc.evaluation.conditions import channel_settings
-from dsrc.evaluation.config import DifferenceSpec, MethodSpec, ParameterSweeps
+from dsrc.evaluation.config import Benchmark, DifferenceSpec, MethodSpec, ParameterSweeps
 from dsrc.evaluation.detect import Method
 from dsrc.evaluation.report.report import provenance_of, write_report
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
@@ -29,7 +31,7 @@ TWO = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "alone": [("no-collaboration", 0)]}
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _one_commit():
+def _one_commit() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dsrc.runs.provenance.commit", lambda: "0123456789")
         yield
@@ -43,13 +45,13 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def plan(root: Path):
+def plan(root: Path) -> Benchmark:
     sweeps = ParameterSweeps(agents=(1, 2), pose_error=(0.0, 0.5), delay_s=(0.1,), loss=(0.9,))
     return make_plan(root, TWO, corruptions=("fog", "beam_missing"), sweeps=sweeps)
 
 
 @pytest.fixture(scope="module")
-def done(plan, root: Path) -> tuple[Path, BenchmarkResult]:
+def done(plan: Benchmark, root: Path) -> tuple[Path, BenchmarkResult]:
     result = run_plan(plan, root / "done")
     write_report(result, root / "done")
     return root / "done", result
@@ -62,7 +64,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_row_of_a_benchmark_says_what_an_evaluation_says(
-    done: tuple[Path, BenchmarkResult], plan, root: Path
+    done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path
 ) -> None:
     _, result = done
     detector = load_student(root / "dsrc_1.pt")
@@ -78,12 +80,12 @@ def test_a_row_of_a_benchmark_says_what_an_evaluation_says(
 
 
 def test_an_interrupted_run_resumes_to_the_same_bytes(
-    done: tuple[Path, BenchmarkResult], plan, root: Path, monkeypatch: pytest.MonkeyPatch
+    done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, written = root / "killed", []
     whole, write = files(done[0]), cells.write_cell
 
-    def dies(folder, settings, result) -> None:
+    def dies(folder: Path, settings: Any, result: Any) -> None:
         if len(written) % 5 == 4:
             written.append("died")
             raise KeyboardInterrupt
@@ -104,7 +106,7 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     assert files(out) == whole
 
 
-def test_finished_cells_are_not_computed_again(done: tuple[Path, BenchmarkResult], plan) -> None:
+def test_finished_cells_are_not_computed_again(done: tuple[Path, BenchmarkResult], plan: Benchmark) -> None:
     out, result = done
     before = {path: path.stat().st_mtime_ns for path in out.glob("cells/*")}
     assert result.made == len(before) / 2 > 0
@@ -115,7 +117,7 @@ def test_finished_cells_are_not_computed_again(done: tuple[Path, BenchmarkResult
 
 
 def test_a_method_that_is_added_costs_its_own_cells_alone(
-    done: tuple[Path, BenchmarkResult], plan, root: Path, monkeypatch: pytest.MonkeyPatch
+    done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, result = shutil.copytree(done[0], root / "more"), done[1]
     more = make_plan(root, {**TWO, "late": [("late", 0)]}, corruptions=plan.corruptions, sweeps=plan.sweeps)
@@ -133,7 +135,7 @@ def test_a_method_that_is_added_costs_its_own_cells_alone(
 
 
 def test_cells_of_earlier_code_are_taken_when_asked_for(
-    done: tuple[Path, BenchmarkResult], plan, root: Path, monkeypatch: pytest.MonkeyPatch
+    done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(runner, "code_hash", lambda entry: "0" * 64)
     result = run_plan(plan, root / "reused", reuse=[done[0]])
@@ -144,14 +146,14 @@ def test_cells_of_earlier_code_are_taken_when_asked_for(
     assert run_plan(replace(plan, seed=1), root / "other", reuse=[done[0]]).made > 0
 
 
-def test_two_processes_find_what_one_does(done: tuple[Path, BenchmarkResult], plan, root: Path) -> None:
+def test_two_processes_find_what_one_does(done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path) -> None:
     result = run_plan(plan, root / "two", Pool(workers=2))
     write_report(result, root / "two")
     assert files(root / "two") == files(done[0])
 
 
 def test_units_of_few_frames_give_the_same_rows(
-    done: tuple[Path, BenchmarkResult], plan, root: Path, monkeypatch: pytest.MonkeyPatch
+    done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(runner, "CHUNK", 1)
     result = run_plan(plan, root / "chunks")
@@ -227,7 +229,7 @@ SETTINGS = CellSettings(
         {"code": "fe"},
     ],
 )
-def test_every_setting_has_cells_of_its_own(change) -> None:
+def test_every_setting_has_cells_of_its_own(change: dict[str, Any]) -> None:
     assert replace(SETTINGS, **change).key != SETTINGS.key
     assert {field for field in SETTINGS.__struct_fields__} >= set(change)
 
@@ -255,7 +257,7 @@ def test_a_damaged_cell_is_named(done: tuple[Path, BenchmarkResult], root: Path)
 
 
 def test_damaged_cells_are_computed_again_to_the_same_bytes(
-    done: tuple[Path, BenchmarkResult], plan, root: Path
+    done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path
 ) -> None:
     out = shutil.copytree(done[0], root / "damaged")
     short, wrong, empty, times = sorted((out / "cells").glob("*.npz"))[:4]
@@ -279,7 +281,7 @@ def test_a_cell_reads_back(done: tuple[Path, BenchmarkResult]) -> None:
     assert np.all(np.isfinite(result.matches.score))
 
 
-def test_mistakes_are_reported_before_the_work(plan, root: Path) -> None:
+def test_mistakes_are_reported_before_the_work(plan: Benchmark, root: Path) -> None:
     missing = replace(plan, methods=(replace(plan.methods[0], detectors=(str(root / "none.pt"),)),))
     with pytest.raises(CheckpointError, match=r"none\.pt"):
         run_plan(missing, root / "wrong")
@@ -301,7 +303,9 @@ def test_mistakes_are_reported_before_the_work(plan, root: Path) -> None:
     assert not (root / "wrong" / "cells").exists()
 
 
-def test_a_method_may_use_the_same_detectors_otherwise(done: tuple[Path, BenchmarkResult], plan, root: Path) -> None:
+def test_a_method_may_use_the_same_detectors_otherwise(
+    done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path
+) -> None:
     out = shutil.copytree(done[0], root / "otherwise")
     picky = replace(plan.methods[0], name="picky", use={"score_threshold": 0.6})
     both = replace(plan, methods=(plan.methods[0], picky), corruptions=("clean",), sweeps=ParameterSweeps())

@@ -1,6 +1,7 @@
 """Stored detections: what an evaluation found is read again, scored to the same numbers, and checked."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from dsrc.data.drives import open_drive
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.detect import Method, evaluate_drive
-from dsrc.evaluation.detection_table import join_tables, one_frame, points_left, read_table
+from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, read_table
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.evaluation.metrics.ap import evaluate
 from dsrc.evaluation.stored import read_index, read_run
@@ -96,7 +97,7 @@ def test_an_index_that_is_missing_or_wrong_is_one_line(done: tuple[Path, list], 
             read_index(tmp_path)
 
 
-def _table(n=3, d=4):
+def _table(n: int = 3, d: int = 4) -> DetectionTable:
     rng = np.random.default_rng(0)
     boxes = np.column_stack([rng.normal(0, 20, (n + d, 3)), rng.uniform(1, 5, (n + d, 3)), rng.uniform(-3, 3, n + d)])
     detections = Detections(Boxes.from_array(boxes[n:]), np.sort(rng.random(d).astype(np.float32))[::-1])
@@ -127,7 +128,9 @@ def test_columns_come_back_as_they_were() -> None:
         ("ego_id", lambda c: None, "an array of int64, found none"),
     ],
 )
-def test_a_wrong_column_is_named_with_its_file(name: str, change, message: str) -> None:
+def test_a_wrong_column_is_named_with_its_file(
+    name: str, change: Callable[[np.ndarray], np.ndarray], message: str
+) -> None:
     arrays = {**_table().arrays()}
     arrays[name] = change(arrays[name])
     with pytest.raises(DataError, match=rf"a\.npz: {name}: expected {message}"):

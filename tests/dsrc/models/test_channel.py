@@ -8,13 +8,14 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.data.sample import make_sample
+from dsrc.data.sample import Sample, make_sample
 from dsrc.models.channel import Receiver, payload_of, snapshot_of
-from dsrc.models.detector import Detector
+from dsrc.models.detector import Detector, Output
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 from sim.geometry import invert
 from sim.radio import PRESETS, Obstruction, cpm_bytes
+from sim.radio.spec import ChannelSpec
 from tests.dsrc.data.toy import toy_frame
 
 GRID = GridSpec((-38.4, -38.4, -3.0, 38.4, 38.4, 1.0), 0.8)
@@ -34,7 +35,7 @@ FRAMES = [toy_frame(index) for index in range(6)]
 STILL = replace(PRESETS["paper"], position_error_m=0.0, heading_error_deg=0.0)
 
 
-def through(spec, position=5, settings=SMALL, seed=0):
+def through(spec: ChannelSpec, position: int = 5, settings: ModelSettings = SMALL, seed: int = 0) -> tuple:
     frames = FRAMES[position::-1]
     sample = make_sample(frames[0], 1000, GRID)
     return sample, *Receiver(spec, seed, 0.1, settings).receive(frames, position, sample, GRID)
@@ -83,7 +84,7 @@ def test_errors_of_position_move_a_vehicle_by_as_much_as_they_say() -> None:
 
 
 def test_correlated_errors_stay_alike_and_white_ones_do_not() -> None:
-    def steps(spec):
+    def steps(spec: ChannelSpec) -> np.ndarray:
         errors = []
         for position in range(6):
             sample, heard, _ = through(spec, position)
@@ -108,7 +109,7 @@ def test_lost_packets_are_holes_in_the_features() -> None:
     none, everything = np.zeros((height, width), bool), np.ones((height, width), bool)
     alone = make_sample(FRAMES[0], 1000, GRID, cooperative=False)
 
-    def stages(part):
+    def stages(part: Sample) -> Output:
         from dsrc.models.inputs.batch import collate
 
         batch = collate([part], SMALL, training=False)

@@ -1,13 +1,17 @@
 """Messages for a narrow channel: the tiles that their sender is surest of, in few bits."""
 
+from typing import Any
+
 import pytest
 import torch
 from msgspec.structs import replace
+from torch import Tensor
 
 from dsrc.models.channel import payload_of
 from dsrc.models.compression import best_tiles, reduced, rounded, tiles, tiles_sent
-from dsrc.models.detector import Detector
+from dsrc.models.detector import Detector, Output
 from dsrc.models.fusion import FUSIONS, AgentLayout
+from dsrc.models.layers.encoder import Pillars
 from dsrc.training.recipes import debug
 from sim.radio import PRESETS
 from tests.dsrc.models.storage.test_deploy import AGENTS, a_detector, some_pillars
@@ -15,17 +19,17 @@ from tests.dsrc.models.storage.test_deploy import AGENTS, a_detector, some_pilla
 SENDING = sorted(set(FUSIONS) - {"none", "early", "late", "mrcnet"})
 
 
-def set_to(detector, **changes):
+def set_to(detector: Detector, **changes: Any) -> Detector:
     detector.settings = replace(detector.settings, **changes)
     return detector
 
 
-def run(detector, pillars, layout=AgentLayout(AGENTS)):  # noqa: B008 - it is not changed
+def run(detector: Detector, pillars: Pillars, layout: AgentLayout = AgentLayout(AGENTS)) -> Output:  # noqa: B008 - it is not changed
     with torch.inference_mode():
         return detector(pillars, layout)
 
 
-def arrived(detector, pillars):
+def arrived(detector: Detector, pillars: Pillars) -> list[Tensor]:
     """Return what the fusion gets."""
     found = []
     detector.fusion.register_forward_pre_hook(lambda module, args: found.append([part.clone() for part in args[0]]))
@@ -34,7 +38,7 @@ def arrived(detector, pillars):
 
 
 @pytest.mark.parametrize("fusion", SENDING)
-def test_as_many_tiles_arrive_as_were_promised(fusion) -> None:
+def test_as_many_tiles_arrive_as_were_promised(fusion: str) -> None:
     detector = set_to(a_detector(fusion=fusion), share=0.1)
     whole = arrived(a_detector(fusion=fusion), some_pillars(detector))
     parts = arrived(detector, some_pillars(detector))

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dsrc.models.detector import Detector
+from dsrc.models.detector import Detector, Output
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import scene_of
 from dsrc.models.layers.encoder import Pillars
@@ -42,7 +42,7 @@ class Step:
         kd = distillation_losses(student, teacher, self.foreground, self.positive, AGENTS, released())
         return {"cls": cls, "reg": reg, "mask": mask, "offset": offset, **kd}
 
-    def _teacher_output(self):
+    def _teacher_output(self) -> Output:
         """Run the teacher; in training mode its pillar norm sees the objects' clouds in the same batch, as released."""
         net = self.nets["teacher"]
         features = net.encoder.features(self.objects_with_teacher)

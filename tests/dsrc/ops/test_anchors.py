@@ -22,7 +22,7 @@ GRIDS = {
 
 
 @pytest.mark.parametrize("case", GRIDS)
-def test_anchors_equal_the_released_ones(case) -> None:
+def test_anchors_equal_the_released_ones(case: str) -> None:
     grid, stride = GRIDS[case]
     golden = np.load(GOLDEN)
     anchors = anchor_grid(grid, stride)

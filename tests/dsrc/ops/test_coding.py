@@ -22,7 +22,7 @@ def test_decoding_equals_the_released_code() -> None:
 
 
 @given(boxes, boxes)
-def test_decode_undoes_encode(box, anchor) -> None:
+def test_decode_undoes_encode(box: np.ndarray, anchor: np.ndarray) -> None:
     np.testing.assert_allclose(decode(np.clip(encode(box, anchor), -1e9, 1e9), anchor)[:, :3], box[:, :3], atol=1e-6)
     small = np.clip(box, 1.0, 20.0)
     anchor = np.clip(anchor, 1.0, 20.0)

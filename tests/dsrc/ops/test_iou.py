@@ -16,11 +16,11 @@ box = st.tuples(
 )  # fmt: skip
 
 
-def iou_3d(a, b):
+def iou_3d(a: list[float], b: list[float]):
     return volume_iou(a, b, bev_iou(a, b))
 
 
-def random_boxes(rng, n, spread=6.0):
+def random_boxes(rng: np.random.Generator, n: int, spread: float = 6.0) -> np.ndarray:
     return np.column_stack([rng.uniform(-spread, spread, (n, 3)), rng.uniform(0.5, 8, (n, 3)), rng.uniform(-7, 7, n)])
 
 
@@ -63,7 +63,7 @@ def test_boxes_with_coincident_edges(case: str) -> None:
 
 
 @given(box, box)
-def test_overlap_is_symmetric_and_between_0_and_1(a, b) -> None:
+def test_overlap_is_symmetric_and_between_0_and_1(a: list[float], b: list[float]) -> None:
     for overlap in (bev_iou, iou_3d):
         ab, ba = overlap([a], [b])[0, 0], overlap([b], [a])[0, 0]
         assert ab == pytest.approx(ba, abs=2e-6)
@@ -72,8 +72,10 @@ def test_overlap_is_symmetric_and_between_0_and_1(a, b) -> None:
 
 
 @given(box, box, st.floats(-3, 3), st.floats(-500, 500))
-def test_overlap_does_not_change_when_the_world_turns_and_moves(a, b, turn: float, shift: float) -> None:
-    def moved(row):
+def test_overlap_does_not_change_when_the_world_turns_and_moves(
+    a: list[float], b: list[float], turn: float, shift: float
+) -> None:
+    def moved(row: list[float]) -> list[list[float]]:
         c, s = np.cos(turn), np.sin(turn)
         x, y, z, *size, yaw = row
         return [[c * x - s * y + shift, s * x + c * y - shift, z, *size, yaw + turn]]

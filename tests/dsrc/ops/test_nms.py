@@ -5,13 +5,13 @@ from dsrc.ops.iou import rotated_nms
 from sim.boxes import Boxes
 
 
-def random_boxes(rng, n):
+def random_boxes(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.column_stack(
         [rng.uniform(-12, 12, (n, 2)), np.zeros(n), rng.uniform(1, 6, (n, 3)), rng.uniform(-4, 4, n)]
     )
 
 
-def brute_force(boxes, scores, threshold):
+def brute_force(boxes: np.ndarray, scores: np.ndarray, threshold: float) -> list[int]:
     polygons = [Polygon(p) for p in Boxes.from_array(boxes).bev_polygons()]
     kept = []
     for row in np.argsort(-scores, kind="stable"):

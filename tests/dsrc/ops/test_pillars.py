@@ -1,4 +1,5 @@
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def places(points: np.ndarray, voxels: Voxels) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_voxels_equal_the_compiled_voxeliser_in_content_and_order(case) -> None:
+def test_voxels_equal_the_compiled_voxeliser_in_content_and_order(case: str) -> None:
     range_m, cell, max_points, max_voxels = CASES[case]
     golden = np.load(GOLDEN)
     points = golden[f"{case}/points"]
@@ -44,7 +45,9 @@ def test_voxels_equal_the_compiled_voxeliser_in_content_and_order(case) -> None:
     np.testing.assert_array_equal(dense(points, voxels, max_points), golden[f"{case}/voxels"])
 
 
-def brute_force(points, range_m, cell, max_points, max_voxels):
+def brute_force(
+    points: np.ndarray, range_m: Sequence[float], cell: Sequence[float], max_points: int, max_voxels: int
+) -> tuple:
     """One point after the other, as the rule reads."""
     low, size = np.float32(range_m[:3]), np.float32(cell)
     shape = [round((range_m[3 + i] - range_m[i]) / cell[i]) for i in range(3)]
@@ -81,7 +84,7 @@ def test_lower_faces_belong_to_the_range_and_upper_faces_do_not() -> None:
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 4)), np.full((3, 4), 99.0), np.full((2, 4), np.nan)])
-def test_nothing_in_range_makes_no_voxels(points) -> None:
+def test_nothing_in_range_makes_no_voxels(points: np.ndarray) -> None:
     voxels = voxelise(points.astype(np.float32), SMALL, (0.4, 0.4, 4))
     assert len(voxels) == len(voxels.order) == 0 and voxels.coords_zyx.shape == (0, 3)
 

@@ -1,8 +1,11 @@
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, encode
+from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.postprocess import PostSettings, candidates, decode_detections, select
 from sim.boxes import Boxes, concatenate
@@ -13,17 +16,17 @@ ANCHORS = anchor_grid(GridSpec(range_m=(-25.6, -12.8, -3, 25.6, 12.8, 1)))
 RELEASED = PostSettings(range_m=(-140, -40, -3, 140, 40, 1), max_extent_m=6.0)
 
 
-def golden_maps():
+def golden_maps() -> tuple[np.ndarray, np.ndarray]:
     regression = GOLDEN["rm"][0].reshape(2, 7, 32, 64)[:, REFERENCE_ORDER].reshape(14, 32, 64)
     return GOLDEN["psm"][0], regression
 
 
-def assert_same_boxes(detections, corners, scores) -> None:
+def assert_same_boxes(detections: Detections, corners: np.ndarray, scores: np.ndarray) -> None:
     np.testing.assert_allclose(detections.score, scores, atol=1e-6)
     np.testing.assert_allclose(detections.boxes.corners(), corners, atol=1e-4)
 
 
-def assert_same_moved_boxes(detections, corners, scores) -> None:
+def assert_same_moved_boxes(detections: Detections, corners: np.ndarray, scores: np.ndarray) -> None:
     """The transform tilts by half a degree: ours stay upright, so the centres are equal and the corners nearly."""
     center = corners.mean(axis=1)
     # Two agents with one map have each score twice; which of the two comes first is open.
@@ -57,7 +60,9 @@ def test_late_fusion_equals_the_released_one() -> None:
     assert_same_moved_boxes(fused, GOLDEN["late_corners"], GOLDEN["late_scores"])
 
 
-def maps_of(boxes, scores):
+def maps_of(
+    boxes: Sequence[Sequence[float]] | np.ndarray, scores: Sequence[float] | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return maps on which the nearest anchor of each box says exactly that box."""
     logits, regression = np.full((2, 32, 64), -9.0), np.zeros((2, 7, 32, 64))
     for box, score in zip(boxes, scores, strict=True):
@@ -94,7 +99,7 @@ def test_detections_come_best_first_and_above_the_threshold() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, -50.0])
-def test_maps_that_say_nothing_give_no_detections(value) -> None:
+def test_maps_that_say_nothing_give_no_detections(value: float) -> None:
     empty = decode_detections(np.full((2, 32, 64), value), np.zeros((14, 32, 64)), ANCHORS, PostSettings())
     assert len(empty) == 0
     assert len(empty.boxes) == 0

@@ -11,11 +11,11 @@ GOLDEN = np.load(GOLDENS / "models" / "targets.npz")
 ANCHORS = anchor_grid(GridSpec(range_m=(-25.6, -12.8, -3, 25.6, 12.8, 1)))
 
 
-def our_order(array):
+def our_order(array: np.ndarray) -> np.ndarray:
     return array[..., REFERENCE_ORDER]
 
 
-def dense_mask(index):
+def dense_mask(index: np.ndarray) -> np.ndarray:
     mask = np.zeros((32, 64, 2), bool)
     mask[tuple(index.T)] = True
     return mask
@@ -44,7 +44,7 @@ def test_legacy_labels_equal_the_released_ones_up_to_ties() -> None:
     assert len(forced) == len(expected)
 
 
-def car(x, y, yaw, length=4.9, width=2.1):
+def car(x: float, y: float, yaw: float, length: float = 4.9, width: float = 2.1) -> np.ndarray:
     return np.array([[x, y, -1.0, length, width, 1.6, yaw]])
 
 
@@ -88,7 +88,7 @@ def test_two_cars_side_by_side_share_no_anchor_and_both_get_some() -> None:
 
 @pytest.mark.parametrize("legacy_iou", [False, True])
 @pytest.mark.parametrize("boxes", [np.zeros((0, 7)), car(500.0, 0.0, 0.0)])
-def test_no_box_on_the_grid_means_no_positive_anchor(boxes, legacy_iou: bool) -> None:
+def test_no_box_on_the_grid_means_no_positive_anchor(boxes: np.ndarray, legacy_iou: bool) -> None:
     targets = assign_targets(boxes, ANCHORS, legacy_iou=legacy_iou)
     assert not targets.positive.any()
     assert targets.regression.shape == (32, 64, 14)

@@ -12,7 +12,7 @@ from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
 from dsrc.review.model import ReviewModel
 from sensors.frame import AgentFrame, Frame
-from sensors.sweep import STATIC, make_sweep
+from sensors.sweep import STATIC, Sweep, make_sweep
 from sim.boxes import Boxes, concatenate
 from sim.geometry import invert, pose_matrix
 
@@ -37,7 +37,7 @@ def truth_at(index: int) -> Boxes:
     return Boxes.from_array(array, object_id=1000 + np.arange(6))
 
 
-def sweep_of(truth: Boxes, world_from_lidar: np.ndarray, own: int, time_s: float):
+def sweep_of(truth: Boxes, world_from_lidar: np.ndarray, own: int, time_s: float) -> Sweep:
     """Points on the roofs of the cars and two rings on the road."""
     rng = np.random.default_rng(7)
     points, ids = [], []
@@ -151,7 +151,7 @@ def truth_model(drive: FakeDrive) -> ReviewModel:
 
 
 @pytest.fixture
-def fake_fog(monkeypatch: pytest.MonkeyPatch):
+def fake_fog(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, str, int]]:
     """Fog that removes every other point and marks the rest; counts its calls."""
     calls = []
 

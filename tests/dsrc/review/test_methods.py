@@ -24,7 +24,7 @@ FOG = replace(STATE, corruption="fog")
 
 
 @pytest.fixture
-def two(model) -> ReviewModel:
+def two(model: ReviewModel) -> ReviewModel:
     """The detector, and a recorded method that finds the first object of frames 0 to 3 alone."""
     weak = MemorySet("weak")
     for row in range(4):
@@ -53,7 +53,9 @@ def test_the_first_method_is_judged_and_others_are_drawn_over_it(two: ReviewMode
     )
 
 
-def test_missing_recorded_detections_are_said_and_nothing_is_judged(two: ReviewModel, fake_fog) -> None:
+def test_missing_recorded_detections_are_said_and_nothing_is_judged(
+    two: ReviewModel, fake_fog: list[tuple[int, str, int]]
+) -> None:
     missing = two.view(replace(STATE, frame=9, methods=("weak",)))
     assert missing.counts is None and "weak has no detections in this frame" in missing.notice
     assert len(missing.layers[DETECTED_TRUTH]) == 5
@@ -90,7 +92,9 @@ def test_recorded_detections_have_their_own_cooperation(two: ReviewModel) -> Non
     assert {name: run.setup.cooperative for name, run in alone.items()} == {DETECTOR: False, "weak": True}
 
 
-def test_changes_are_those_between_methods_and_conditions(two: ReviewModel, fake_fog) -> None:
+def test_changes_are_those_between_methods_and_conditions(
+    two: ReviewModel, fake_fog: list[tuple[int, str, int]]
+) -> None:
     weak = replace(STATE, methods=("weak",))
     made = two.changes(weak, STATE)
     assert made.fixed.all() and len(made) > 0

@@ -16,12 +16,13 @@ from dsrc.review.view import (
     SELECTED,
     TRUE_POSITIVES,
 )
-from sensors.frame import BY_EGO, BY_HELPER
+from sensors.frame import BY_EGO, BY_HELPER, Frame
 from sim.errors import DataError
 from sim.geometry import transform_points
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 
 
-def test_points_under_their_pose_are_the_world_around_the_first_ego(truth_model, frame) -> None:
+def test_points_under_their_pose_are_the_world_around_the_first_ego(truth_model: ReviewModel, frame: Frame) -> None:
     view = truth_model.view(ReviewState())
     origin = frame.agents[0].world_from_body[:3, 3]
     for agent, drawn in zip(frame.agents, view.agents, strict=True):
@@ -29,12 +30,12 @@ def test_points_under_their_pose_are_the_world_around_the_first_ego(truth_model,
         np.testing.assert_allclose(placed, agent.sweep.world_points - origin, atol=1e-6)
 
 
-def test_drawn_points_survive_float16_although_the_world_is_far_away(truth_model) -> None:
+def test_drawn_points_survive_float16_although_the_world_is_far_away(truth_model: ReviewModel) -> None:
     for agent in truth_model.view(ReviewState()).agents:
         assert np.abs(agent.points.astype(np.float16) - agent.points).max() < 0.04
 
 
-def test_without_a_detector_there_is_only_truth_and_no_counts(truth_model) -> None:
+def test_without_a_detector_there_is_only_truth_and_no_counts(truth_model: ReviewModel) -> None:
     view = truth_model.view(ReviewState())
     assert view.counts is None
     assert (
@@ -45,7 +46,7 @@ def test_without_a_detector_there_is_only_truth_and_no_counts(truth_model) -> No
     assert view.layers[OTHER_TRUTH].object_id.tolist() == [1000]
 
 
-def test_boxes_are_classified_as_tp_fp_and_fn(model) -> None:
+def test_boxes_are_classified_as_tp_fp_and_fn(model: ReviewModel) -> None:
     view = model.view(ReviewState(threshold=0.0))
     objects = len(view.layers[DETECTED_TRUTH]) + len(view.layers[FALSE_NEGATIVES])
     assert (view.counts.tp, view.counts.fp, view.counts.fn) == (objects - 1, 1, 1)
@@ -55,12 +56,12 @@ def test_boxes_are_classified_as_tp_fp_and_fn(model) -> None:
     assert set(view.layers) == set(LAYERS)
 
 
-def test_true_positives_are_drawn_on_their_objects(model) -> None:
+def test_true_positives_are_drawn_on_their_objects(model: ReviewModel) -> None:
     view = model.view(ReviewState(frame=3))
     np.testing.assert_allclose(view.layers[TRUE_POSITIVES].center, view.layers[DETECTED_TRUTH].center, atol=0.01)
 
 
-def test_the_threshold_cuts_detections_without_detecting_again(model, detector) -> None:
+def test_the_threshold_cuts_detections_without_detecting_again(model: ReviewModel, detector: FakeDetector) -> None:
     counts = [model.view(ReviewState(threshold=t)).counts for t in (0.0, 0.5, 0.7, 1.0)]
     assert len(detector.samples) == 1
     assert [c.fp for c in counts] == [1, 0, 0, 0]
@@ -68,7 +69,9 @@ def test_the_threshold_cuts_detections_without_detecting_again(model, detector) 
     assert all(c.tp + c.fn == counts[0].tp + counts[0].fn for c in counts)
 
 
-def test_a_corruption_changes_what_is_drawn_and_what_the_detector_gets_once(model, detector, fake_fog) -> None:
+def test_a_corruption_changes_what_is_drawn_and_what_the_detector_gets_once(
+    model: ReviewModel, detector: FakeDetector, fake_fog: list[tuple[int, str, int]]
+) -> None:
     clean = model.view(ReviewState())
     foggy = replace(ReviewState(), corruption="fog", severity=4)
     for threshold in (0.1, 0.5):
@@ -79,7 +82,9 @@ def test_a_corruption_changes_what_is_drawn_and_what_the_detector_gets_once(mode
     assert len(detector.samples[1].clouds[0]) < len(detector.samples[0].clouds[0])
 
 
-def test_lost_points_are_counted_beside_those_that_are_left(truth_model, fake_fog) -> None:
+def test_lost_points_are_counted_beside_those_that_are_left(
+    truth_model: ReviewModel, fake_fog: list[tuple[int, str, int]]
+) -> None:
     clean = truth_model.view(ReviewState())
     foggy = truth_model.view(ReviewState(corruption="fog"))
     assert " lost" not in legend(clean)
@@ -88,13 +93,15 @@ def test_lost_points_are_counted_beside_those_that_are_left(truth_model, fake_fo
         assert f"points, {after.lost} lost" in legend(foggy)
 
 
-def test_both_families_are_kept_apart_in_the_caches(truth_model, fake_fog) -> None:
+def test_both_families_are_kept_apart_in_the_caches(
+    truth_model: ReviewModel, fake_fog: list[tuple[int, str, int]]
+) -> None:
     for family in ("physical", "paper", "physical"):
         truth_model.view(ReviewState(corruption="fog", family=family))
     assert len(fake_fog) == 2
 
 
-def test_an_error_relative_to_the_ego_follows_the_ego(truth_model) -> None:
+def test_an_error_relative_to_the_ego_follows_the_ego(truth_model: ReviewModel) -> None:
     poses = {}
     for ego_id in (1000, 1002):
         view = truth_model.view(ReviewState(corruption="pose_error", severity=5, ego_id=ego_id))
@@ -106,14 +113,16 @@ def test_an_error_relative_to_the_ego_follows_the_ego(truth_model) -> None:
     assert poses == {1000: [True, False, False], 1002: [False, True, False]}
 
 
-def test_counts_sum_over_the_viewed_frames(model) -> None:
+def test_counts_sum_over_the_viewed_frames(model: ReviewModel) -> None:
     first = model.view(ReviewState(frame=0))
     second = model.view(ReviewState(frame=1))
     assert (first.seen_frames, second.seen_frames) == (1, 2)
     assert second.seen == first.counts + second.counts
 
 
-def test_a_sketch_detects_and_corrupts_nothing(model, detector, fake_fog) -> None:
+def test_a_sketch_detects_and_corrupts_nothing(
+    model: ReviewModel, detector: FakeDetector, fake_fog: list[tuple[int, str, int]]
+) -> None:
     sketch = model.sketch(ReviewState())
     assert len(sketch.layers[DETECTED_TRUTH]) == 5 and sketch.counts is None
     assert [len(agent.points) > 0 for agent in sketch.agents] == [True, False, False]
@@ -122,30 +131,30 @@ def test_a_sketch_detects_and_corrupts_nothing(model, detector, fake_fog) -> Non
     assert detector.samples == fake_fog == []
 
 
-def test_another_ego_detects_from_its_own_place(model, detector) -> None:
+def test_another_ego_detects_from_its_own_place(model: ReviewModel, detector: FakeDetector) -> None:
     model.view(ReviewState(ego_id=1002, cooperative=False))
     assert detector.samples[0].agent_ids == (1002,)
 
 
-def test_a_hidden_agent_has_no_points_and_is_still_detected_with(model, detector) -> None:
+def test_a_hidden_agent_has_no_points_and_is_still_detected_with(model: ReviewModel, detector: FakeDetector) -> None:
     view = model.view(ReviewState(hidden=frozenset({1002})))
     assert len(view.agents[1].points) == 0 and not view.agents[1].visible
     assert 1002 in detector.samples[0].agent_ids
 
 
-def test_frames_are_read_once(truth_model, drive) -> None:
+def test_frames_are_read_once(truth_model: ReviewModel, drive: FakeDrive) -> None:
     for frame in (0, 1, 0, 1):
         truth_model.view(ReviewState(frame=frame))
     assert sorted(drive.reads) == [0, 1]
 
 
-def test_links_join_the_ego_with_its_collaborators(model) -> None:
+def test_links_join_the_ego_with_its_collaborators(model: ReviewModel) -> None:
     view = model.view(ReviewState())
     assert view.linked.shape == (2, 2, 3)
     assert len(model.view(ReviewState(cooperative=False)).linked) == 0
 
 
-def test_wrong_input_is_one_line(tmp_path: Path, drive) -> None:
+def test_wrong_input_is_one_line(tmp_path: Path, drive: FakeDrive) -> None:
     with pytest.raises(DataError, match=str(tmp_path)):
         open_model(tmp_path)
     with pytest.raises(DataError):
@@ -155,7 +164,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, drive) -> None:
         ReviewModel([drive])
 
 
-def test_object_details_give_motion_lights_and_visibility(truth_model) -> None:
+def test_object_details_give_motion_lights_and_visibility(truth_model: ReviewModel) -> None:
     view = truth_model.view(ReviewState(object_id=1003))
     details = view.details
     assert (details.object_id, details.class_name, details.lane, details.lights) == (
@@ -175,7 +184,7 @@ def test_object_details_give_motion_lights_and_visibility(truth_model) -> None:
     assert truth_model.view(ReviewState()).details is None
 
 
-def test_object_details_as_text(truth_model) -> None:
+def test_object_details_as_text(truth_model: ReviewModel) -> None:
     text = selection_report(truth_model.view(ReviewState(object_id=1003)).details)
     assert "**car 1003**, seen by the ego" in text
     assert "3.0 m/s, -2.5 m/s² · brake light · lane main\\_0" in text
@@ -187,7 +196,9 @@ def test_object_details_as_text(truth_model) -> None:
     )
 
 
-def test_a_corruption_of_an_agent_changes_nothing_in_frames_without_it_and_the_page_says_so(truth_model) -> None:
+def test_a_corruption_of_an_agent_changes_nothing_in_frames_without_it_and_the_page_says_so(
+    truth_model: ReviewModel,
+) -> None:
     clean = truth_model.view(ReviewState())
     for who, counts in (("1777", [0, 0, 0]), ("1002,1777", [0, 1, 0])):
         view = truth_model.view(ReviewState(corruption="beam_missing", severity=5, who=who))

@@ -1,5 +1,7 @@
 """Colours of different meaning are told apart, also without red or green cones."""
 
+from collections.abc import Callable, Mapping, Sequence
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,9 @@ POINTS = {**MARKS, "lost": LOST, "sensor": SENSOR}
 METHODS = {**{f"method {row}": rgb for row, rgb in enumerate(METHOD_COLORS)}, **VERDICTS}
 
 
-def least(named, vision, difference):
+def least(
+    named: Mapping[str, Sequence[int]], vision: str, difference: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> tuple[float, str]:
     """Least difference of two colours, and which they are."""
     lab = seen_as(np.array(list(named.values())), vision)
     apart = difference(lab[:, None], lab[None]) + 1e3 * np.eye(len(lab))
@@ -32,14 +36,16 @@ def least(named, vision, difference):
     [(MARKS, 20.0, 16.5), (POINTS, 20.0, 9.5), (METHODS, 20.0, 14.0)],
     ids=["marks", "points", "methods"],
 )
-def test_colours_of_different_meaning_differ(vision, named, by_1976: float, by_2000: float) -> None:
+def test_colours_of_different_meaning_differ(
+    vision: str, named: Mapping[str, Sequence[int]], by_1976: float, by_2000: float
+) -> None:
     for difference, bar in ((difference_1976, by_1976), (difference_2000, by_2000)):
         apart, which = least(named, vision, difference)
         assert apart >= bar, which
 
 
 @pytest.mark.parametrize("brightness", BRIGHTNESS.values(), ids=BRIGHTNESS)
-def test_bodies_keep_their_colours_in_the_light_of_a_theme(brightness) -> None:
+def test_bodies_keep_their_colours_in_the_light_of_a_theme(brightness: float) -> None:
     agents = np.array(AGENT_COLORS, np.uint8)
     light = linear(agents, brightness) * brightness / 255.0
     shown = 255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.minimum(light, 1.0) ** (1 / 2.4) - 0.055)

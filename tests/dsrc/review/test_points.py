@@ -3,14 +3,14 @@ import pytest
 
 from dsrc.review.palette import AGENT_COLORS, FATE_COLORS
 from dsrc.review.points import point_colors, subsample
-from dsrc.review.state import COLOR_BY
-from sensors.sweep import KEPT, SCATTERED, make_sweep
+from dsrc.review.state import COLOR_BY, ColorBy
+from sensors.sweep import KEPT, SCATTERED, Sweep, make_sweep
 from sim.geometry import invert, pose_matrix, transform_points
 
 UPRIGHT = np.array([0.0, 0.0, 1.0, 1.8])
 
 
-def ground(n: int = 20_000, actors: int = 500):
+def ground(n: int = 20_000, actors: int = 500) -> Sweep:
     rng = np.random.default_rng(3)
     radius = rng.uniform(3.0, 80.0, n) ** 1.0
     angle = rng.uniform(0, 2 * np.pi, n)
@@ -48,7 +48,7 @@ def test_points_that_float16_cannot_hold_are_not_drawn() -> None:
 
 
 @pytest.mark.parametrize("color_by", COLOR_BY)
-def test_every_colouring_gives_one_colour_per_point(color_by) -> None:
+def test_every_colouring_gives_one_colour_per_point(color_by: ColorBy) -> None:
     for sweep in (ground(100), ground(0, 0)):
         colors = point_colors(sweep, color_by, AGENT_COLORS[0], UPRIGHT)
         assert colors.shape == (len(sweep), 3) and colors.dtype == np.uint8

@@ -3,6 +3,7 @@ import pytest
 
 from dsrc.ops.detections import Detections
 from dsrc.review.matching import Counts, match
+from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import birds_eye, chase, overview, scene_from_review
 from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
 from dsrc.review.state import ReviewState
@@ -68,7 +69,7 @@ def test_precision_of_nothing_is_unknown() -> None:
     assert Counts(0, 1, 1).precision == 0.0
 
 
-def test_cameras_look_at_the_ego(truth_model) -> None:
+def test_cameras_look_at_the_ego(truth_model: ReviewModel) -> None:
     view = truth_model.view(ReviewState())
     ego = view.ego.review_from_body[:3, 3]
     for pose in (chase(view), birds_eye(view), overview(view)):
@@ -77,7 +78,7 @@ def test_cameras_look_at_the_ego(truth_model) -> None:
     assert chase(view).position[0] < ego[0] < chase(view).look_at[0]
 
 
-def test_the_scene_of_a_following_camera_keeps_the_ego_at_its_origin(truth_model) -> None:
+def test_the_scene_of_a_following_camera_keeps_the_ego_at_its_origin(truth_model: ReviewModel) -> None:
     for frame in (0, 5):
         view = truth_model.view(ReviewState(frame=frame))
         for camera in ("chase", "bev"):

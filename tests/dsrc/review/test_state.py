@@ -11,7 +11,7 @@ SETS = ("good", "weak", "blind")
 changed = partial(with_changes, ReviewState(), lambda _: SETS)
 
 
-def then(state, **changes):
+def then(state: ReviewState, **changes: Any) -> ReviewState:
     return with_changes(state, lambda _: SETS, **changes)
 
 

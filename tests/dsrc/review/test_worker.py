@@ -2,26 +2,33 @@
 
 import threading
 import time
+from collections.abc import Iterator
 
 import pytest
 
+from dsrc.data.sample import Sample
+from dsrc.ops.detections import Detections
 from dsrc.review.errors.judgements import DETECTOR
 from dsrc.review.model import ReviewModel
 from dsrc.review.sources.base import MemorySet, Setup
 from dsrc.review.state import ReviewState
 from dsrc.review.worker import Worker
 from sensors.corruptions import Condition
+from sensors.frame import Frame
 from sim.errors import DataError, SettingsError
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 
 
 @pytest.fixture
-def worker():
+def worker() -> Iterator[Worker]:
     worker = Worker()
     yield worker
     worker.close()
 
 
-def test_a_run_is_detected_once_from_a_frame_on(worker, model, drive, detector) -> None:
+def test_a_run_is_detected_once_from_a_frame_on(
+    worker: Worker, model: ReviewModel, drive: FakeDrive, detector: FakeDetector
+) -> None:
     store = model.stores[0]
     number = worker.detect(store, DETECTOR, Setup(), start=5)
     progress = worker.wait(number, 60.0)
@@ -35,11 +42,11 @@ def test_a_run_is_detected_once_from_a_frame_on(worker, model, drive, detector) 
     assert model.view(ReviewState(frame=7)).seen_frames == 12 and len(detector.samples) == 12
 
 
-def test_a_cancelled_job_keeps_what_it_found(worker, model, detector) -> None:
+def test_a_cancelled_job_keeps_what_it_found(worker: Worker, model: ReviewModel, detector: FakeDetector) -> None:
     entered, go = threading.Event(), threading.Event()
     detect = detector.detect
 
-    def slow(sample):
+    def slow(sample: Sample) -> Detections:
         entered.set()
         assert go.wait(30.0)
         return detect(sample)
@@ -58,10 +65,12 @@ def test_a_cancelled_job_keeps_what_it_found(worker, model, detector) -> None:
     assert [one.number for one in worker.jobs()] == [number, waits]
 
 
-def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(worker, model, drive, detector) -> None:
+def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(
+    worker: Worker, model: ReviewModel, drive: FakeDrive, detector: FakeDetector
+) -> None:
     read = drive.read
 
-    def broken(row):
+    def broken(row: int) -> Frame:
         if row == 3:
             raise DataError("000003.pcd: not a readable point cloud")
         return read(row)
@@ -71,7 +80,7 @@ def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(w
     assert progress.state == "done" and progress.skipped == ((3, "000003.pcd: not a readable point cloud"),)
     assert 3 not in model.stores[0].source.sets[DETECTOR].rows(Setup())
 
-    def fails(sample) -> None:
+    def fails(sample: Sample) -> None:
         raise RuntimeError("out of memory")
 
     detector.detect = fails
@@ -81,7 +90,9 @@ def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(w
     worker.prefetch(model.stores[0], [9])
 
 
-def test_frames_are_read_ahead_and_then_drawn_without_reading(worker, model, drive, fake_fog) -> None:
+def test_frames_are_read_ahead_and_then_drawn_without_reading(
+    worker: Worker, model: ReviewModel, drive: FakeDrive, fake_fog: list[tuple[int, str, int]]
+) -> None:
     worker.prefetch(model.stores[0], [4, 5, 6, 99], Condition("fog", 3))
     deadline = time.monotonic() + 30.0
     while len(fake_fog) < 3 and time.monotonic() < deadline:
@@ -92,11 +103,13 @@ def test_frames_are_read_ahead_and_then_drawn_without_reading(worker, model, dri
     assert drive.reads == reads and len(fake_fog) == 3
 
 
-def test_a_newer_request_replaces_what_was_to_be_read_ahead(worker, model, drive) -> None:
+def test_a_newer_request_replaces_what_was_to_be_read_ahead(
+    worker: Worker, model: ReviewModel, drive: FakeDrive
+) -> None:
     entered, go = threading.Event(), threading.Event()
     read = drive.read
 
-    def slow(row):
+    def slow(row: int) -> Frame:
         entered.set()
         assert go.wait(30.0)
         return read(row)
@@ -113,7 +126,7 @@ def test_a_newer_request_replaces_what_was_to_be_read_ahead(worker, model, drive
     assert drive.reads == [0, 8]
 
 
-def test_only_detectors_can_be_asked(worker, model, drive) -> None:
+def test_only_detectors_can_be_asked(worker: Worker, model: ReviewModel, drive: FakeDrive) -> None:
     model.sources[0].sets["stored"] = MemorySet("stored")
     with pytest.raises(SettingsError, match="street: stored: expected a detector, found recorded detections"):
         worker.detect(model.stores[0], "stored", Setup())
@@ -123,7 +136,7 @@ def test_only_detectors_can_be_asked(worker, model, drive) -> None:
         worker.progress(77)
 
 
-def test_a_closed_worker_ends_its_jobs(drive, detector) -> None:
+def test_a_closed_worker_ends_its_jobs(drive: FakeDrive, detector: FakeDetector) -> None:
     model, worker = ReviewModel([drive], detector), Worker()
     numbers = [worker.detect(model.stores[0], DETECTOR, Setup(ego_id=ego)) for ego in (1000, 1002)]
     worker.close()

@@ -1,5 +1,6 @@
 """DSRC as its text has it and as released: what differs, that both train, and that the second is the reference."""
 
+from collections.abc import Callable
 from dataclasses import replace as replace_sample
 from pathlib import Path
 
@@ -71,7 +72,7 @@ def test_the_presets_differ_where_the_text_and_the_released_code_do() -> None:
 
 
 @pytest.mark.parametrize("preset", [dsrc_paper, dsrc_code])
-def test_a_preset_has_the_papers_range_and_schedule(preset) -> None:
+def test_a_preset_has_the_papers_range_and_schedule(preset: Callable[[], Recipe]) -> None:
     recipe = preset()
     assert (recipe.model.grid.width, recipe.model.grid.height) == (704, 200)
     assert recipe.model.reconstruction_bins == 10
@@ -133,7 +134,9 @@ def shrunk(preset: Recipe) -> Recipe:
 
 
 @pytest.mark.parametrize("preset", [dsrc_paper, dsrc_code])
-def test_a_preset_trains_its_teacher_and_its_student_and_resumes_exactly(preset, tmp_path: Path) -> None:
+def test_a_preset_trains_its_teacher_and_its_student_and_resumes_exactly(
+    preset: Callable[[], Recipe], tmp_path: Path
+) -> None:
     recipe = replace(shrunk(preset()), validation_share=0.4, validate_every=1, half=False)
     data = write_drive(tmp_path / "data", 5)
     teacher = train(recipe, data, tmp_path / "teacher", "teacher")
@@ -147,7 +150,7 @@ def test_a_preset_trains_its_teacher_and_its_student_and_resumes_exactly(preset,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", [dsrc_paper, dsrc_code])
-def test_a_full_network_takes_a_step(preset) -> None:
+def test_a_full_network_takes_a_step(preset: Callable[[], Recipe]) -> None:
     recipe = preset()
     module = DetectionModule(recipe, *(Detector(recipe.settings(stage)) for stage in ("student", "teacher"))).train()
     sample = make_sample(frame(0), 1000, SampleRequest(recipe.model.grid, keep_ego_box=recipe.labels.ego_box))

@@ -3,18 +3,23 @@
 import copy
 import dataclasses
 import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 from msgspec.structs import replace
 from PIL import Image
+from torch import Tensor
 
 from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.sample import Sample
+from dsrc.evaluation.config import Benchmark
 from dsrc.evaluation.report.report import provenance_of
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
@@ -26,12 +31,13 @@ from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou
 from dsrc.tables.document import SectionWriter
 from dsrc.tables.figure import png_bytes
+from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import UserError
 from studies.dsrc_paper.drawing import AGENT, FOUND, HELPED, TRUTH, project
 from studies.dsrc_paper.evidence import firing_channels, vehicle_evidence
 from studies.dsrc_paper.frame_figures import detection_figure, feature_figure, match_counts
-from studies.dsrc_paper.frames import frames_at, only_helpers_see, read_drawn_frames, spread_samples
+from studies.dsrc_paper.frames import DrawnFrame, frames_at, only_helpers_see, read_drawn_frames, spread_samples
 from studies.dsrc_paper.pictures import check_pictures, write_pictures
 from tests.dsrc.evaluation.small import POINTS, make_detector, make_plan, write_drives
 from tests.dsrc.training.drive import frame
@@ -40,41 +46,41 @@ GRID = make_detector("dsrc").settings.grid
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory):
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Benchmark:
     root = tmp_path_factory.mktemp("pictures")
     write_drives(root / "test", frames=3)
     return make_plan(root, {"DSRC": [("dsrc", 0)], "plain": [("attfuse", 0)]})
 
 
 @pytest.fixture(scope="module")
-def drawn_frames(plan):
+def drawn_frames(plan: Benchmark) -> list[DrawnFrame]:
     return read_drawn_frames(plan, GRID)
 
 
 @pytest.fixture(scope="module")
-def drawn_frame(drawn_frames):
+def drawn_frame(drawn_frames: list[DrawnFrame]) -> DrawnFrame:
     return drawn_frames[1]
 
 
 @pytest.fixture(scope="module")
-def teacher(plan, tmp_path_factory: pytest.TempPathFactory):
+def teacher(plan: Benchmark, tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return the file of a teacher that was trained on the ego alone."""
     return teacher_of("none", tmp_path_factory.mktemp("teacher"))
 
 
-def teacher_of(fusion, folder):
+def teacher_of(fusion: str, folder: Path) -> str:
     settings = replace(make_detector("dsrc").settings, role="teacher", fusion=fusion, rec=False)
     save_detector(folder / f"{fusion}.pt", Detector(settings))
     return str(folder / f"{fusion}.pt")
 
 
-def lines_of(axes, color):
+def lines_of(axes: Axes, color: str) -> list[np.ndarray]:
     """Return the segments that are drawn in a colour."""
     found = [c for c in axes.collections if isinstance(c, LineCollection) and to_hex(c.get_color()[0]) == color.lower()]
     return [segment for collection in found for segment in collection.get_segments()]
 
 
-def hidden_from_the_ego(whole, cars):
+def hidden_from_the_ego(whole: Frame, cars: int) -> Frame:
     """Return a frame whose ego has no points on some of the cars that it and helpers had points on."""
     ego, *helpers = whole.agents
     seen = np.flatnonzero((whole.points_on[0] > 0) & (whole.points_on[1:] > 0).any(axis=0))[:cars]
@@ -112,7 +118,7 @@ def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_
     assert {reader.drive.name for _, reader, _ in frames_at(everywhere, GRID)} == {"together"}
 
 
-def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan) -> None:
+def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan: Benchmark) -> None:
     (first, *_, last) = frames_at(replace(plan, limit=2, pictures=dict(percentiles=(1, 100))), GRID)
     assert {(reader.drive.name, position) for _, reader, position in (first, last)} == {("drive_0", 0), ("drive_1", 2)}
     clean, foggy = (
@@ -124,7 +130,9 @@ def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan)
     np.testing.assert_array_equal(only_helpers_see(foggy.sample), only_helpers_see(clean.sample))
 
 
-def test_pictures_that_cannot_be_drawn_are_reported_before_the_work(plan, teacher, tmp_path: Path) -> None:
+def test_pictures_that_cannot_be_drawn_are_reported_before_the_work(
+    plan: Benchmark, teacher: str, tmp_path: Path
+) -> None:
     check_pictures(replace(plan, pictures=dict(teacher=teacher)))
     student = plan.methods[0].detectors[0]
     for pictures, words in (
@@ -148,7 +156,7 @@ def test_what_lies_where_a_camera_looks_is_in_the_middle_and_higher_is_up() -> N
     assert seen[3, 2] == -10.0  # behind
 
 
-def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(drawn_frames) -> None:
+def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(drawn_frames: list[DrawnFrame]) -> None:
     found = {
         name: [make_detector(name).detect(drawn_frame.sample) for drawn_frame in drawn_frames]
         for name in ("dsrc", "attfuse")
@@ -178,7 +186,7 @@ def test_every_box_is_drawn_in_both_views_of_every_method_and_frame(drawn_frames
     assert len(png_bytes(figure, dpi=40)) > 5000
 
 
-def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(drawn_frame) -> None:
+def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(drawn_frame: DrawnFrame) -> None:
     truth, ego = drawn_frame.sample.boxes, drawn_frame.ego
     assert len(ego) == 1 and len(truth) > 1
     np.testing.assert_allclose(ego.center[0, :2], [0, 0], atol=2.0)
@@ -193,14 +201,14 @@ def test_a_detection_of_the_ego_itself_is_neither_a_hit_nor_false(drawn_frame) -
         assert len(lines_of(axes, AGENT)) == edges * 2  # its body, and the detection of it
 
 
-def logits_of(detector, sample):
+def logits_of(detector: Detector, sample: Sample) -> np.ndarray:
     """Return the (2, h, w) logits of a student."""
     batch = collate([sample], detector.settings, training=False)
     with torch.inference_mode():
         return detector(batch.student, batch.layout).cls[0].numpy()
 
 
-def with_head(detector, change):
+def with_head(detector: Detector, change: Callable[[Tensor], Tensor]) -> Detector:
     """Return a detector whose class head's weights are changed."""
     other = copy.deepcopy(detector)
     with torch.no_grad():
@@ -208,7 +216,7 @@ def with_head(detector, change):
     return other
 
 
-def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(drawn_frame) -> None:
+def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(drawn_frame: DrawnFrame) -> None:
     detector = make_detector("dsrc")
     bias = detector.cls_head.bias.detach().numpy()[:, None, None]
     seen = vehicle_evidence(detector, drawn_frame.sample)
@@ -226,7 +234,7 @@ def test_evidence_is_what_speaks_for_a_vehicle_and_nothing_else(drawn_frame) -> 
     assert not vehicle_evidence(with_head(detector, lambda weight: -weight.abs()), drawn_frame.sample).any()
 
 
-def test_evidence_before_fusion_is_the_egos_own(drawn_frame) -> None:
+def test_evidence_before_fusion_is_the_egos_own(drawn_frame: DrawnFrame) -> None:
     detector = make_detector("dsrc")
     alone = vehicle_evidence(detector, drawn_frame.sample, fused=False)
     np.testing.assert_allclose(
@@ -235,7 +243,7 @@ def test_evidence_before_fusion_is_the_egos_own(drawn_frame) -> None:
     assert not np.allclose(alone, vehicle_evidence(detector, drawn_frame.sample), rtol=0.01)
 
 
-def test_evidence_of_a_network_of_the_mirror_image_lies_where_the_vehicles_are(drawn_frame) -> None:
+def test_evidence_of_a_network_of_the_mirror_image_lies_where_the_vehicles_are(drawn_frame: DrawnFrame) -> None:
     detector = make_detector("dsrc")
     left = copy.deepcopy(detector)
     left.settings = replace(detector.settings, left_handed=True)
@@ -244,7 +252,7 @@ def test_evidence_of_a_network_of_the_mirror_image_lies_where_the_vehicles_are(d
     np.testing.assert_allclose(there[::-1], vehicle_evidence(detector, drawn_frame.sample), atol=1e-4)
 
 
-def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(drawn_frame) -> None:
+def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(drawn_frame: DrawnFrame) -> None:
     settings = replace(make_detector("dsrc").settings, role="teacher", fusion="none", rec=False)
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -262,7 +270,7 @@ def test_a_teacher_of_all_agents_sees_what_the_ego_does_not(drawn_frame) -> None
     )
 
 
-def test_channels_that_never_fire_are_counted_over_all_frames(drawn_frames) -> None:
+def test_channels_that_never_fire_are_counted_over_all_frames(drawn_frames: list[DrawnFrame]) -> None:
     detector = copy.deepcopy(make_detector("dsrc"))
     samples = [drawn_frame.sample for drawn_frame in drawn_frames]
     last = [layer for layer in detector.shrink if getattr(layer, "bias", None) is not None][-1]
@@ -274,7 +282,7 @@ def test_channels_that_never_fire_are_counted_over_all_frames(drawn_frames) -> N
     assert not fired[3] and fired[4]
 
 
-def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames) -> None:
+def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames: list[DrawnFrame]) -> None:
     student = make_detector("dsrc")
     maps = {
         "student": partial(vehicle_evidence, student),
@@ -306,7 +314,7 @@ def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames) -> None:
     assert [panel.get_ylabel() for panel in panels[:, 0]] == ["LiDAR points of\nall agents", "student", "twice"]
 
 
-def test_figures_6_and_8_are_written_with_what_made_them(plan, teacher, tmp_path: Path) -> None:
+def test_figures_6_and_8_are_written_with_what_made_them(plan: Benchmark, teacher: str, tmp_path: Path) -> None:
     drawn = replace(plan, corruptions=("clean",), limit=2, pictures=dict(teacher=teacher, percentiles=(50,)))
     result = run_plan(drawn, tmp_path)
     writer = SectionWriter(tmp_path, provenance_of(result))

@@ -6,6 +6,8 @@ from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.types import Percept
 from sim.boxes import VEHICLES, Boxes
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
 
 EYES = __name__
 """Module of the perceptions, as `module:Class` names it."""
@@ -27,10 +29,10 @@ class Blind:
 
     cooperative = False
 
-    def reset(self, scenario, ego_id: int, seed: int) -> None:
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         pass
 
-    def perceive(self, before, now, claims) -> Percept:
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
         return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
 
 
@@ -43,7 +45,7 @@ class BlindForPeople(Blind):
 class Broken(Blind):
     """Fails after a while."""
 
-    def perceive(self, before, now, claims) -> Percept:
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
         if now.time_s > 1.0:
             raise MemoryError("no memory left")
         return super().perceive(before, now, claims)

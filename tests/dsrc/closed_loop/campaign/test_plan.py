@@ -50,7 +50,7 @@ def test_names_and_paths_decide_nothing() -> None:
 
 
 def test_a_detector_is_known_by_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def key(text: str, **options) -> str:
+    def key(text: str, **options: Any) -> str:
         (job,) = episodes_of(campaign_of(DriveOptions(what="ima_building", perception=(text,), **options)))
         return key_of(job)
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def changed(text: str, column: str, value: str) -> str:
     ],
 )
 def test_a_file_that_is_no_result_is_one_line_that_names_it(
-    driven: Path, tmp_path: Path, change, expected: str
+    driven: Path, tmp_path: Path, change: Callable[[str], str], expected: str
 ) -> None:
     path = tmp_path / "results.csv"
     path.write_text(change((driven / "results.csv").read_text()))

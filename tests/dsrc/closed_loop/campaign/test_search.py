@@ -1,5 +1,7 @@
 """Critical values of an episode: a delay at which a seeing helper comes too late, and plans that no search can take."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,8 @@ from dsrc.closed_loop.types import Outcome, Percept
 from dsrc.options.driving import DriveOptions
 from sim.boxes import Boxes
 from sim.errors import SettingsError
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
 
 
 class Late:
@@ -20,10 +24,10 @@ class Late:
     def __init__(self, blind_s: float) -> None:
         self.blind_s = blind_s
 
-    def reset(self, scenario, ego_id: int, seed: int) -> None:
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         self.ego_id, self.start_s = ego_id, None
 
-    def perceive(self, before, now, claims) -> Percept:
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
         self.start_s = now.time_s if self.start_s is None else self.start_s
         if now.time_s - self.start_s < self.blind_s:
             return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
@@ -35,7 +39,7 @@ class Late:
 def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
 
-    def opened(uses: str, **settings) -> Late:
+    def opened(uses: str, **settings: Any) -> Late:
         given.append(settings["channel"])
         return Late(10.0 * settings["channel"].delay_s)
 
@@ -69,6 +73,8 @@ def test_delays_go_to_the_longest_whatever_the_interval() -> None:
         ({"perception": ("team", "ego"), "corruption": ("fog",)}, "severity", "perception"),
     ],
 )
-def test_a_plan_of_more_than_one_episode_or_without_the_quantity_is_refused(change, quantity: str, told: str) -> None:
+def test_a_plan_of_more_than_one_episode_or_without_the_quantity_is_refused(
+    change: dict[str, Any], quantity: str, told: str
+) -> None:
     with pytest.raises(SettingsError, match=told):
         search(campaign_of(DriveOptions(what="ima_building", **change)), quantity)

@@ -15,11 +15,19 @@ from sim.roads.networks import read_network, resolve_network
 class NoLanes:
     """Nobody is on a lane."""
 
-    def ahead(self, pose, length_m):
+    def ahead(self, pose: np.ndarray, length_m: np.ndarray) -> list[tuple[np.ndarray, ...]]:
         return [()] * len(pose)
 
 
-def track(x=0.0, y=0.0, heading=0.0, speed=10.0, rate=0.0, label="car", sd=0.0) -> Tracks:
+def track(
+    x: float = 0.0,
+    y: float = 0.0,
+    heading: float = 0.0,
+    speed: float = 10.0,
+    rate: float = 0.0,
+    label: str = "car",
+    sd: float = 0.0,
+) -> Tracks:
     boxes = Boxes.from_array([[x, y, 0.8, 4.5, 1.8, 1.6, heading]], [CLASSES.index(label)], [7])
     velocity = speed * np.array([[np.cos(heading), np.sin(heading)]])
     one = np.ones(1)

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import warnings
 from importlib.metadata import entry_points
+from typing import Any
 
 import gymnasium as gym
 import highway_env
@@ -17,6 +18,8 @@ from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.types import Outcome, Percept
 from sim.boxes import Boxes
 from sim.errors import SettingsError, TrafficError
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
 
 SCENARIO = "ima_building:no_conflict"
 
@@ -26,14 +29,14 @@ class Blind:
 
     cooperative = False
 
-    def reset(self, scenario, ego_id: int, seed: int) -> None:
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         pass
 
-    def perceive(self, before, now, claims) -> Percept:
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
         return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
 
 
-def drive(env: DrivingEnv, action, steps: int = 400) -> list[tuple]:
+def drive(env: DrivingEnv, action: Any, steps: int = 400) -> list[tuple]:
     env.reset(seed=3)
     taken = []
     for _ in range(steps):

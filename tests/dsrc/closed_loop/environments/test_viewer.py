@@ -8,6 +8,8 @@ from dsrc.closed_loop.environments import ENVIRONMENTS
 from dsrc.closed_loop.environments.viewer import _ROAD, _UNSEEN, CRASHED, EGO, TRACK
 from dsrc.closed_loop.types import Percept
 from sim.boxes import Boxes
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
 
 
 class Blind:
@@ -15,10 +17,10 @@ class Blind:
 
     cooperative = False
 
-    def reset(self, scenario, ego_id: int, seed: int) -> None:
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         pass
 
-    def perceive(self, before, now, claims) -> Percept:
+    def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
         return Percept(now.time_s, Boxes.zeros(), np.zeros(0), np.zeros((0, 2)))
 
 

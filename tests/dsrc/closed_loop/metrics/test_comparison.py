@@ -30,7 +30,7 @@ class One:
     metrics: dict[str, float | None] = field(default_factory=dict)
 
 
-def result(crash: float, seed: int = 0, corruption: str = "clean", severity: int = 0, **rest) -> One:
+def result(crash: float, seed: int = 0, corruption: str = "clean", severity: int = 0, **rest: float) -> One:
     metrics = {"collision": crash, "driving_score_2_1": 1.0 - 0.5 * crash, **rest}
     return One(seed=seed, corruption=corruption, severity=severity, metrics=metrics)
 

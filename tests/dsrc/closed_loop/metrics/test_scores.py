@@ -146,7 +146,7 @@ def test_the_projection_of_pdms_does_not_mind_who_comes_from_behind_or_an_ego_th
     assert pdms(episode([Mover("ego", ahead(0.0), yaw=0.0), oncoming], 3)).time_to_collision == 1.0
 
 
-def braking(deceleration: float):
+def braking(deceleration: float) -> Motion:
     """Motion at 20 m/s that brakes constantly from the beginning."""
     return lambda t: (20.0 * t - 0.5 * deceleration * t * t, 0.0)
 

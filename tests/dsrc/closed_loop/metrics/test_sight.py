@@ -10,6 +10,7 @@ from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.sight import first_sight, information
 from dsrc.closed_loop.types import Percept
 from sim.radio import Link, Obstruction
+from sim.traffic.base import Actors
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode, percept_of
 
 MOVERS = [Mover("ego", ahead(10.0)), Mover("conflict", ahead(0.0, x=34.0))]
@@ -25,7 +26,7 @@ def test_the_first_sight_is_the_first_percept_that_has_a_box_of_the_conflict_act
 
 @pytest.mark.parametrize(("off_m", "seen"), [(1.9, True), (2.1, False)])
 def test_a_box_is_of_the_conflict_actor_within_two_metres(off_m: float, seen: bool) -> None:
-    def sees(now) -> Percept:
+    def sees(now: Actors) -> Percept:
         percept = percept_of(now, [1])
         boxes = replace(
             percept.boxes, center=percept.boxes.center + np.array([0.0, off_m, 0.0]), object_id=np.array([-1])

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ from msgspec.structs import replace as changed
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.senses import Senses
+from dsrc.closed_loop.types import Percept
+from dsrc.data.sample import Sample, SampleDetector
 from dsrc.ops.detections import Detections
 from sensors.corruptions import Condition
+from sensors.corruptions.apply import Who
 from sensors.recording.record import record
 from sensors.sweep import POINT_FIELDS
 from sim.boxes import CLASSES, Boxes
@@ -31,13 +35,13 @@ def _world(monkeypatch: pytest.MonkeyPatch) -> None:
     build(monkeypatch)
 
 
-def started(detector=None, **settings) -> DetectorPerception:
+def started(detector: SampleDetector | None = None, **settings: Any) -> DetectorPerception:
     perception = DetectorPerception(detector or Knowing(OTHERS), **settings)
     perception.reset(SCENARIO, EGO, 0)
     return perception
 
 
-def perceive(perception: DetectorPerception, step: int = 0):
+def perceive(perception: DetectorPerception, step: int = 0) -> Percept:
     return perception.perceive(instant(step), instant(step + 1), {})
 
 
@@ -108,7 +112,7 @@ def test_a_network_runs_on_one_thread_and_the_process_keeps_its_own_number() -> 
     seen = []
 
     class Counting(Knowing):
-        def detect(self, sample):
+        def detect(self, sample: Sample) -> Detections:
             seen.append(torch.get_num_threads())
             return super().detect(sample)
 
@@ -123,7 +127,7 @@ def test_a_network_runs_on_one_thread_and_the_process_keeps_its_own_number() -> 
 
 def test_the_class_is_that_of_the_detector() -> None:
     class Vans(Knowing):
-        def detect(self, sample):
+        def detect(self, sample: Sample) -> Detections:
             found = super().detect(sample)
             label = np.full(len(found), CLASSES.index("van"))
             return Detections(Boxes.from_array(found.boxes.array, label=label, object_id=label), found.score)
@@ -134,7 +138,7 @@ def test_the_class_is_that_of_the_detector() -> None:
 
 
 @pytest.mark.parametrize("answer", [None, [], (np.zeros((0, 7)), np.zeros(0))])
-def test_something_else_than_detections_is_an_error_that_says_so(answer) -> None:
+def test_something_else_than_detections_is_an_error_that_says_so(answer: object) -> None:
     detector = PointCounter()
     detector.detect = lambda sample: answer
     with pytest.raises(TypeError, match=r"PointCounter\.detect: expected Detections, found"):
@@ -168,7 +172,7 @@ def test_a_helper_that_leaves_is_not_replaced() -> None:
 
 
 @pytest.mark.parametrize(("who", "hit"), [("ego", [EGO]), ("helpers", [HELPER]), ((HELPER,), [HELPER]), ("all", None)])
-def test_only_those_asked_for_are_corrupted(who, hit) -> None:
+def test_only_those_asked_for_are_corrupted(who: Who, hit: list[int] | None) -> None:
     frames = []
     for condition in (Condition(), Condition("beam_missing", 5, agents=who)):
         senses = Senses(condition, cooperative=True)

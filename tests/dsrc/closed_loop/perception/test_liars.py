@@ -8,6 +8,7 @@ from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.liars import false_actors
 from dsrc.closed_loop.types import Percept
 from sensors.corruptions import Condition
+from sensors.frame import Frame
 from sim.radio import PRESETS, ChannelSpec
 from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, LIE, SCENARIO, Knowing, build, claim, instant
 
@@ -54,7 +55,9 @@ def test_a_ghost_is_as_late_as_every_message() -> None:
 
 
 def test_a_corruption_of_the_liar_acts_on_its_lie(monkeypatch: pytest.MonkeyPatch) -> None:
-    def gone(frame, kind, severity, seed, family, *, ego_id, who, **_):
+    def gone(
+        frame: Frame, kind: str, severity: int, seed: int, family: str, *, ego_id: int, who: str, **_: object
+    ) -> Frame:
         assert who == "helpers"
         return frame.with_sweeps([a.sweep if a.agent_id == ego_id else a.sweep[:0] for a in frame.agents])
 

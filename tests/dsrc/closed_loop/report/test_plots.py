@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
@@ -28,7 +29,7 @@ class One:
     metrics: dict[str, float | None] = field(default_factory=dict)
 
 
-def cell(perception: str, crashes: int, episodes: int = 10, **where) -> list[One]:
+def cell(perception: str, crashes: int, episodes: int = 10, **where: Any) -> list[One]:
     return [
         One(perception, seed=seed, metrics={"collision": float(seed < crashes), "driving_score_2_1": 0.5}, **where)
         for seed in range(episodes)

@@ -14,6 +14,7 @@ from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.write import write_drive
 from dsrc.runs.executors import Pool
 from sensors.deskew import deskew_frame
+from sensors.frame import Frame
 from sim.errors import DataError, SettingsError
 from tests.dsrc.data import dair_tree, goldens
 from tests.dsrc.data.toy import SETTINGS, ToySource, same_frames, toy_frame
@@ -40,7 +41,7 @@ def test_an_interrupted_conversion_resumes_to_the_same_bytes(
     reads = []
     read = DriveReader.read
 
-    def failing(self: DriveReader, i: int):
+    def failing(self: DriveReader, i: int) -> Frame:
         reads.append(i)
         if len(reads) == 3:
             raise KeyboardInterrupt

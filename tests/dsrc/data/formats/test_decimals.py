@@ -34,7 +34,7 @@ def same(words: list[bytes], separator: bytes = b" ") -> None:
 
 
 @given(st.lists(numbers, max_size=30), st.sampled_from([b" ", b"\n", b"\r\n", b" \t ", b"\v", b"\f"]))
-def test_every_number_is_read_to_the_last_bit_as_pythons_float_does(words, separator: bytes) -> None:
+def test_every_number_is_read_to_the_last_bit_as_pythons_float_does(words: list[str], separator: bytes) -> None:
     same([word.encode() for word in words], separator)
 
 

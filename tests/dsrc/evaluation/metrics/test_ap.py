@@ -1,5 +1,6 @@
 import json
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,7 @@ from tests.paths import GOLDENS as ALL_GOLDENS
 GOLDENS = ALL_GOLDENS / "models"
 
 
-def boxes_from_corners(corners):
+def boxes_from_corners(corners: np.ndarray) -> Boxes:
     """Undo `Boxes.corners`, for upright boxes."""
     corners = corners.astype(np.float64)
     forward = corners[:, 0, :2] - corners[:, 3, :2]
@@ -36,7 +37,7 @@ def boxes_from_corners(corners):
     return Boxes.from_array(np.column_stack([corners.mean(axis=1), length, width, height, yaw]))
 
 
-def golden_frames():
+def golden_frames() -> tuple[Mapping[str, np.ndarray], list[FrameResult]]:
     golden = np.load(GOLDENS / "ap.npz")
     return golden, [
         FrameResult(
@@ -83,7 +84,9 @@ def test_evaluating_twice_gives_the_same() -> None:
     assert evaluate(frames).metrics() == evaluate(frames).metrics()
 
 
-def brute_force_ap(frames, threshold, overlap):
+def brute_force_ap(
+    frames: list[FrameResult], threshold: float, overlap: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> float:
     """The definition, slowly: for every recall reached, the best precision at that recall or beyond."""
     judged, n_truth = [], 0
     for frame in frames:
@@ -109,7 +112,7 @@ def brute_force_ap(frames, threshold, overlap):
     return area
 
 
-def random_frames(rng, n):
+def random_frames(rng: np.random.Generator, n: int) -> list[FrameResult]:
     frames = []
     for _ in range(n):
         truth = np.column_stack(
@@ -197,7 +200,7 @@ def test_metrics_are_named_by_order_space_and_threshold() -> None:
     assert metric_name("3d", 0.7, opencood=True) == "ap_opencood_3d_70"
 
 
-def curve(hits, n_truth):
+def curve(hits: Sequence[bool | int], n_truth: int) -> tuple[np.ndarray, np.ndarray, int]:
     return *precision_recall(np.array(hits, bool), n_truth), n_truth
 
 

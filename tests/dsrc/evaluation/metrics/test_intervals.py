@@ -1,6 +1,7 @@
 """Intervals: resampled AP equals that of copied frames, and properties of the intervals."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from dsrc.evaluation.metrics.intervals import (
 from tests.dsrc.evaluation.metrics.test_ap import random_frames
 
 
-def difference(a: RankedDetections, b: RankedDetections, group, seed=0, count=400) -> Interval:
+def difference(
+    a: RankedDetections, b: RankedDetections, group: Sequence[int] | np.ndarray, seed: int = 0, count: int = 400
+) -> Interval:
     """Return the interval of the difference in AP@0.5."""
     weights = draw_weights(np.asarray(group), count, np.random.default_rng(seed))
     values = (resampled_ap(a, weights) - resampled_ap(b, weights))[0]

@@ -1,7 +1,9 @@
 """KITTI's average precision: worked out by hand, and equal to another evaluator's."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +32,7 @@ def image(count: int, height_px: float = 60.0, occluded: float = 0.0, truncated:
     return InImage(*(np.full(count, value) for value in (height_px, occluded, truncated)))
 
 
-def joined(*parts):
+def joined(*parts: tuple) -> tuple:
     """Parts of (boxes, image), or of (boxes, score, image), as one."""
     boxes = Boxes.from_array(
         np.concatenate([part[0].array for part in parts]), np.concatenate([part[0].label for part in parts])
@@ -40,7 +42,7 @@ def joined(*parts):
     return (boxes, np.concatenate(scores).astype(np.float32), pictured) if scores else (boxes, pictured)
 
 
-def counted(found, true, level="hard"):
+def counted(found: Sequence[tuple], true: Sequence[tuple], level: str = "hard") -> Any:
     boxes, scores, pictured = joined(*found)
     truth, true_image = joined(*true)
     return Rated([RatedFrame(Detections(boxes, scores), pictured, truth, true_image)]).count(level, "bev", 0.7)
@@ -86,7 +88,7 @@ def test_fewer_cars_than_recalls_get_less_as_in_the_kit() -> None:
         ((row_of(40), 0.95, image(40)), None, 2 / 3),
     ],
 )
-def test_what_counts_neither_way(false, true, precision: float) -> None:
+def test_what_counts_neither_way(false: tuple, true: tuple, precision: float) -> None:
     """40 detections, more confident than all others."""
     found = counted([CARS_FOUND, false], [TRUE_CARS] if true is None else [TRUE_CARS, true])
     assert found.truth == CARS

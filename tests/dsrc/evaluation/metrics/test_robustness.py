@@ -14,7 +14,7 @@ PAPER = {
 
 
 @pytest.mark.parametrize("row", PAPER)
-def test_mce_of_the_papers_rows(row) -> None:
+def test_mce_of_the_papers_rows(row: str) -> None:
     clean, corrupted, expected = PAPER[row]
     assert 100 * mce(clean, dict(zip(KINDS, corrupted, strict=True))) == pytest.approx(expected, abs=0.01)
 

@@ -8,7 +8,7 @@ from dsrc.evaluation.report.ap_table import result_table
 from dsrc.evaluation.results import MCE, Row, conditions_of, find_row, methods_of, summary_rows
 
 
-def some_rows():
+def some_rows() -> list[Row]:
     rows = []
     for condition, ap in (("clean", 0.8), ("fog", 0.6), ("beam_missing", math.nan)):
         for method, factor in (("dsrc", 1.0), ("plain", 0.9)):

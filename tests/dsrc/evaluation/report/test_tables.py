@@ -16,6 +16,7 @@ from dsrc.evaluation.report.report import RESULTS, write_report
 from dsrc.evaluation.report.tables import axes_of, severity_table, sweep_table, table_1
 from dsrc.evaluation.results import Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
+from dsrc.models.settings import ModelSettings
 from dsrc.tables.document import publish
 from dsrc.tables.table import Stat, Table
 from dsrc.training.recipes import METHODS, debug, of_method
@@ -35,7 +36,7 @@ PAPER = {
 KINDS = ("clean", "beam_missing", "motion_blur", "fog", "snow", "crosstalk", "cross_sensor")
 
 
-def settings_of(name: str):
+def settings_of(name: str) -> ModelSettings:
     parts = {"sdd only": (True, False, False), "no rec": (True, True, False)}
     if name in parts:
         sdd, pcp, rec = parts[name]

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,10 @@ from dsrc.data.formats.kitti import encode_labels
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
+from dsrc.evaluation.results import Row
 from dsrc.evaluation.scoring.frames import FrameKey
 from dsrc.evaluation.scoring.report import score_table, score_tables
-from dsrc.evaluation.scoring.score import score
+from dsrc.evaluation.scoring.score import Score, score
 from dsrc.evaluation.scoring.truth import read_truth
 from dsrc.ops.detections import Detections
 from dsrc.options.detection import Evaluation
@@ -75,7 +77,7 @@ def as_kitti(folder: Path, frames: dict[FrameKey, Detections]) -> Path:
     return folder
 
 
-def numbers(scores):
+def numbers(scores: Sequence[Score]) -> dict[tuple, float]:
     return {(one.protocol.name, *key): value for one in scores for key, value in one.ap.items()}
 
 
@@ -120,7 +122,7 @@ def test_dumped_corners_score_as_opencood_scored_them(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory: pytest.TempPathFactory):
+def stored(tmp_path_factory: pytest.TempPathFactory) -> tuple[Evaluation, dict[tuple[str, str], Row]]:
     root = tmp_path_factory.mktemp("stored")
     write_drives(root / "test", drives=2)
     checkpoint = f"DSRC={write_detector(root / 'dsrc.pt', 'dsrc')}"
@@ -128,7 +130,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory):
     return config, {(row.method, row.condition): row for row in evaluate_drives(config)}
 
 
-def test_stored_results_score_what_their_evaluation_says(stored) -> None:
+def test_stored_results_score_what_their_evaluation_says(stored: tuple[Evaluation, dict[tuple[str, str], Row]]) -> None:
     config, rows = stored
     found = score(config.out, protocol=["testbed", "opencood-no-ego"])
     assert {one.name for one in found} == {"DSRC", "DSRC, ego alone"}

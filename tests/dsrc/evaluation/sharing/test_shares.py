@@ -3,7 +3,9 @@
 import csv
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -69,7 +71,7 @@ class Says:
 
     settings = SampleRequest(GRID)
 
-    def __init__(self, says) -> None:
+    def __init__(self, says: Callable[[set[int]], dict[float, float]]) -> None:
         self.says = says
 
     def detect(self, sample: Sample) -> Detections:
@@ -78,7 +80,11 @@ class Says:
         return Detections(boxes_at(*order), np.array([said[x] for x in order], np.float32))
 
 
-def shares_of(says, agents: tuple[int, ...] = (1, 2, 3), heard: tuple[int, ...] | None = None) -> Shares:
+def shares_of(
+    says: Callable[[set[int]], dict[float, float]],
+    agents: tuple[int, ...] = (1, 2, 3),
+    heard: tuple[int, ...] | None = None,
+) -> Shares:
     """Shares in two true boxes, at 10 and 20 m."""
     heard = agents if heard is None else heard
     empty = np.zeros((0, 4), np.float32)
@@ -155,14 +161,14 @@ def test_false_detections_are_shared_by_all_frames_that_were_looked_at() -> None
     assert max(heights) == pytest.approx(0.05)
 
 
-def test_frames_without_a_box_are_counted(world) -> None:
+def test_frames_without_a_box_are_counted(world: Path) -> None:
     config = Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "none")
     every = frames_looked_at(config)
     assert every > 1 == frames_looked_at(msgspec.structs.replace(config, limit=1))
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory):
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("shares")
     write_drives(root / "test", drives=1)
     write_detector(root / "net.pt", "attfuse")
@@ -170,7 +176,7 @@ def world(tmp_path_factory: pytest.TempPathFactory):
 
 
 def test_the_command_writes_a_line_per_agent_and_box_and_prints_a_table(
-    world, capsys: pytest.CaptureFixture[str]
+    world: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = world / "out"
     options = ["--corruption", "beam_missing", "--channel", "its-g5-6", "--iou", "0.3"]
@@ -195,7 +201,7 @@ def test_the_command_writes_a_line_per_agent_and_box_and_prints_a_table(
         assert image.width > 800
 
 
-def test_shares_are_the_same_again_and_limits_hold(world) -> None:
+def test_shares_are_the_same_again_and_limits_hold(world: Path) -> None:
     config = Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "again", limit=1)
     steps = []
     rows = share_drives(config, progress=lambda done, total: steps.append((done, total)))
@@ -212,7 +218,9 @@ def test_shares_are_the_same_again_and_limits_hold(world) -> None:
         share_drives(Sharing(checkpoint=world / "net.pt", data=world / "test", out=world, severity=9))
 
 
-def test_an_interrupted_run_resumes_with_the_same_bytes_for_any_workers(world, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_resumes_with_the_same_bytes_for_any_workers(
+    world: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(drives, "CHUNK", 1)
     options = ["--corruption", "fog", "--checkpoint", str(world / "net.pt")]
 

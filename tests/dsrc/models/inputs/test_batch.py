@@ -27,7 +27,7 @@ cropped = arrays(np.float32, st.tuples(st.integers(0, 60), st.just(4)), elements
 
 
 @given(clouds, clouds, st.integers(1, 4), st.integers(1, 40))
-def test_pillars_are_the_voxelisers(first, second, max_points: int, max_pillars: int) -> None:
+def test_pillars_are_the_voxelisers(first: np.ndarray, second: np.ndarray, max_points: int, max_pillars: int) -> None:
     settings = replace(SETTINGS, max_points=max_points, max_pillars=max_pillars)
     found = pillars_of([first, second], settings)
     voxels = [
@@ -42,7 +42,7 @@ def test_pillars_are_the_voxelisers(first, second, max_points: int, max_pillars:
 
 
 @given(st.lists(cropped, min_size=1, max_size=2), st.sampled_from([0.4, 0.5, 4.0]))
-def test_a_scenes_voxels_are_those_of_numpy(merged, cell_z: float) -> None:
+def test_a_scenes_voxels_are_those_of_numpy(merged: list[np.ndarray], cell_z: float) -> None:
     scene = scene_of(merged, replace(SETTINGS, reconstruction_cell_z_m=cell_z))
     shape = (round(4.0 / cell_z), 8, 16)
     voxels, offsets = [], []
@@ -67,7 +67,7 @@ def test_a_voxels_offset_is_that_of_the_mean_of_its_points() -> None:
 
 
 @given(clouds)
-def test_a_point_that_is_nowhere_is_in_no_cell_beyond_the_grid(cloud) -> None:
+def test_a_point_that_is_nowhere_is_in_no_cell_beyond_the_grid(cloud: np.ndarray) -> None:
     z, y, x = scene_of([cloud], SETTINGS).voxel[:, 1:].numpy().T
     assert all(((0 <= at) & (at < size)).all() for at, size in ((z, 10), (y, 8), (x, 16)))
 

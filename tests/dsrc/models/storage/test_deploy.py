@@ -1,6 +1,7 @@
 """A detector made fast for use says what the plain one says."""
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from torch import nn
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.inputs.batch import pillars_of
-from dsrc.models.layers.encoder import PillarEncoder, PillarMap
+from dsrc.models.layers.encoder import PillarEncoder, PillarMap, Pillars
 from dsrc.models.storage.deploy import ENGINES, FusedConv, FusedEncoder, deployed
 from dsrc.training.recipes import debug
 from sim.errors import SettingsError
@@ -19,7 +20,7 @@ from sim.errors import SettingsError
 AGENTS = (2, 1)
 
 
-def a_detector(**changes):
+def a_detector(**changes: Any) -> Detector:
     """A small detector whose batch norms have seen something."""
     torch.manual_seed(0)
     detector = Detector(replace(debug().model, stage_blocks=(2, 1, 2), sdd=False, pcp=False, rec=False, **changes))
@@ -36,7 +37,7 @@ def a_detector(**changes):
     return detector.eval()
 
 
-def some_pillars(detector):
+def some_pillars(detector: Detector) -> Pillars:
     rng = np.random.default_rng(0)
     low, high = np.array(detector.settings.grid.range_m[:3]), np.array(detector.settings.grid.range_m[3:])
     clouds = [
@@ -46,7 +47,7 @@ def some_pillars(detector):
     return pillars_of(clouds, detector.settings)
 
 
-def assert_same(found, expected, atol=2e-5, rtol=1e-5) -> None:
+def assert_same(found: Any, expected: Any, atol: float = 2e-5, rtol: float = 1e-5) -> None:
     for field in fields(expected):
         value, wanted = getattr(found, field.name), getattr(expected, field.name)
         for a, b in zip(value, wanted, strict=True) if isinstance(wanted, tuple) else ((value, wanted),):
@@ -54,7 +55,7 @@ def assert_same(found, expected, atol=2e-5, rtol=1e-5) -> None:
 
 
 @pytest.mark.parametrize("method", FUSIONS)
-def test_it_gives_the_same_maps_for_every_method(method) -> None:
+def test_it_gives_the_same_maps_for_every_method(method: str) -> None:
     detector = a_detector(fusion=method)
     before = {name: value.clone() for name, value in detector.state_dict().items()}
     fast, pillars = deployed(detector), some_pillars(detector)
@@ -82,7 +83,7 @@ def test_it_gives_the_same_maps_for_every_backbone(backbone: str, monkeypatch: p
 
 
 @pytest.mark.parametrize("method", sorted({"attention", "late"} | {name for name in FUSIONS if FUSIONS[name].start}))
-def test_half_the_digits_give_nearly_the_same_scores(method) -> None:
+def test_half_the_digits_give_nearly_the_same_scores(method: str) -> None:
     detector = a_detector(fusion=method)
     coarse, pillars = deployed(detector, torch.bfloat16), some_pillars(detector)
     layout = AgentLayout((1, 1, 1)) if method in ("none", "early", "late") else AgentLayout(AGENTS)
@@ -110,7 +111,7 @@ def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("changes", [{}, {"padded_slots": True}, {"role": "teacher", "pcp": True}])
-def test_pillars_in_one_pass_have_the_features_of_the_encoder(changes) -> None:
+def test_pillars_in_one_pass_have_the_features_of_the_encoder(changes: dict[str, Any]) -> None:
     settings = replace(debug().model, **{"sdd": False, "pcp": False, "rec": False} | changes)
     torch.manual_seed(0)
     encoder = PillarEncoder(settings).eval().requires_grad_(False)

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 import torch
 
+from dsrc.models.detector import Detector
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import pillars_of
+from dsrc.models.layers.encoder import Pillars
 from dsrc.models.storage.export import INPUTS, export_onnx
 from sim.errors import SettingsError
 from tests.dsrc.models.storage.test_deploy import a_detector
 
 
-def pillars_with(detector, agents, points):
+def pillars_with(detector: Detector, agents: int, points: int) -> Pillars:
     rng = np.random.default_rng(agents)
     low, high = np.array(detector.settings.grid.range_m[:3]), np.array(detector.settings.grid.range_m[3:])
     clouds = [
@@ -23,7 +25,7 @@ def pillars_with(detector, agents, points):
     return pillars_of(clouds, detector.settings)
 
 
-def assert_same_as_torch(detector, path, agents, points) -> None:
+def assert_same_as_torch(detector: Detector, path: Path, agents: int, points: int) -> None:
     runtime = pytest.importorskip("onnxruntime")
     pillars = pillars_with(detector, agents, points)
     tensors = (pillars.points, pillars.pillar, pillars.coords, pillars.count, torch.zeros(agents, dtype=torch.bool))

@@ -5,14 +5,15 @@ import pytest
 
 from dsrc.review.errors.changes import changes
 from dsrc.review.errors.filters import ErrorFilter, Span
+from dsrc.review.errors.judged import JudgedRun
 from tests.dsrc.review.errors.runs import draw_run
 
 
-def objects_of(run):
+def objects_of(run: JudgedRun):
     return zip(run.table.position[run.truth_frame_of].tolist(), run.table.object_id.tolist(), strict=True)
 
 
-def found_objects(run, threshold, iou):
+def found_objects(run: JudgedRun, threshold: float, iou: float) -> set[tuple[int, int]]:
     return {key for key, found in zip(objects_of(run), run.found(threshold, iou), strict=True) if found}
 
 

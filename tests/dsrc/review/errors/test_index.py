@@ -73,7 +73,7 @@ def listed(errors: ErrorTable) -> set[tuple]:
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("threshold", "iou"), [(0.0, 0.5), (0.3, 0.5), (0.55, 0.3), (0.8, 0.7), (1.01, 0.5)])
-def test_errors_are_those_of_plain_loops(seed, threshold: float, iou: float) -> None:
+def test_errors_are_those_of_plain_loops(seed: int, threshold: float, iou: float) -> None:
     run = draw_run(seed)
     errors = ErrorIndex([run]).errors(threshold, iou, poor_iou=0.8)
     expected = oracle(run, threshold, iou, 0.8)
@@ -84,7 +84,7 @@ def test_errors_are_those_of_plain_loops(seed, threshold: float, iou: float) -> 
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_average_precision_is_exactly_that_of_an_evaluation(seed) -> None:
+def test_average_precision_is_exactly_that_of_an_evaluation(seed: int) -> None:
     run = draw_run(seed)
     metrics = evaluate(run.table.results())
     for iou in (0.3, 0.5, 0.7):
@@ -97,7 +97,7 @@ def test_average_precision_is_exactly_that_of_an_evaluation(seed) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("threshold", [0.0, 0.4, 0.9])
-def test_counts_errors_and_the_curve_agree(seed, threshold: float) -> None:
+def test_counts_errors_and_the_curve_agree(seed: int, threshold: float) -> None:
     run = draw_run(seed)
     index, iou = ErrorIndex([run]), 0.5
     counts, errors, curve = (
@@ -154,7 +154,7 @@ FILTERS = {
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_filter_keeps_exactly_the_errors_with_the_property(name, seed) -> None:
+def test_a_filter_keeps_exactly_the_errors_with_the_property(name: str, seed: int) -> None:
     index = ErrorIndex([draw_run(seed, "A"), draw_run(seed, "B", skill=0.6)])
     only, holds = FILTERS[name]
     everything, chosen = index.errors(0.2, 0.5), index.errors(0.2, 0.5, only)

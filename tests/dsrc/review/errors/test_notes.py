@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dsrc.review.errors.filters import FP
-from dsrc.review.errors.index import ErrorIndex
+from dsrc.review.errors.index import ErrorIndex, ErrorTable
 from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.errors.notes import Note, NoteBook, NoteChanged, error_key, errors_csv, former_key
 from dsrc.review.sources.base import Setup
@@ -22,7 +22,7 @@ from tests.dsrc.review.errors.runs import draw_run, draw_table
 
 
 @pytest.fixture
-def errors():
+def errors() -> ErrorTable:
     return ErrorIndex([draw_run(0, "A"), draw_run(0, "B", skill=0.5)]).errors(0.3, 0.5)
 
 
@@ -96,7 +96,7 @@ def test_a_note_that_cannot_be_saved_leaves_the_book_as_it_was(tmp_path: Path) -
     assert book.get("a") is None
 
 
-def test_keys_are_those_of_the_errors_whatever_the_threshold(errors) -> None:
+def test_keys_are_those_of_the_errors_whatever_the_threshold(errors: ErrorTable) -> None:
     keys = [error_key("drive", errors, row) for row in range(len(errors))]
     assert len(set(keys)) == len(keys)
     stricter = ErrorIndex([draw_run(0, "A"), draw_run(0, "B", skill=0.5)]).errors(0.6, 0.5)
@@ -104,8 +104,8 @@ def test_keys_are_those_of_the_errors_whatever_the_threshold(errors) -> None:
     assert set(false) <= set(keys) and false
 
 
-def test_each_ego_has_notes_of_its_own_alone_and_with_its_helpers(errors) -> None:
-    def other(ego_id, cooperative):
+def test_each_ego_has_notes_of_its_own_alone_and_with_its_helpers(errors: ErrorTable) -> None:
+    def other(ego_id: int | None, cooperative: bool) -> ErrorTable:
         table = replace(draw_table(0), ego_id=np.full(6, 7 if ego_id is None else ego_id))
         run = JudgedRun("A", Setup(ego_id=ego_id, cooperative=cooperative), table)
         return ErrorIndex([run]).errors(0.3, 0.5)
@@ -118,7 +118,9 @@ def test_each_ego_has_notes_of_its_own_alone_and_with_its_helpers(errors) -> Non
     assert {error_key("drive", named, row) for row in range(len(named))} == keys[0]
 
 
-def test_notes_of_files_that_do_not_say_who_detects_are_those_of_the_first_vehicle(errors, tmp_path: Path) -> None:
+def test_notes_of_files_that_do_not_say_who_detects_are_those_of_the_first_vehicle(
+    errors: ErrorTable, tmp_path: Path
+) -> None:
     key, former = error_key("drive", errors, 0), former_key("drive", errors, 0)
     assert " / ego 7 / " in key and former == key.replace(" / ego 7 / ", " / ")
     book = NoteBook(tmp_path)
@@ -132,7 +134,7 @@ def test_notes_of_files_that_do_not_say_who_detects_are_those_of_the_first_vehic
         assert former_key("drive", other, 0) == ""
 
 
-def test_errors_leave_as_csv_with_their_notes(errors, tmp_path: Path) -> None:
+def test_errors_leave_as_csv_with_their_notes(errors: ErrorTable, tmp_path: Path) -> None:
     book = NoteBook(tmp_path)
     book.put(error_key("drive", errors, 3), 'a "quoted",\nnote', ["x", "y"])
     lines = list(csv.DictReader(io.StringIO(errors_csv("drive", errors, book))))

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dsrc.data.sample import Sample
+from dsrc.ops.detections import Detections
 from dsrc.review.errors import report as run
 from dsrc.review.errors.filters import FN, FP
 from dsrc.review.model import ReviewModel
@@ -18,12 +20,12 @@ from tests.dsrc.review.conftest import FakeDetector
 class Blind(FakeDetector):
     """Finds nothing but the ghost."""
 
-    def detect(self, sample):
+    def detect(self, sample: Sample) -> Detections:
         return super().detect(sample)[-1:]
 
 
 @pytest.fixture
-def filled(model) -> ReviewModel:
+def filled(model: ReviewModel) -> ReviewModel:
     """All frames detected in, by a good method and a blind one."""
     source = model.sources[0]
     source.sets["blind"] = ComputedSet("blind", Blind())
@@ -87,7 +89,7 @@ def test_corrupted_sweeps_are_compared_with_clean_ones_unless_told_otherwise(fil
         run.listed_errors(filled, replace(STATE, listed="broken"))
 
 
-def test_frames_that_are_not_known_yet_are_named(model) -> None:
+def test_frames_that_are_not_known_yet_are_named(model: ReviewModel) -> None:
     assert run.to_detect(model, STATE) == [("detector", model.setup(STATE))]
     model.view(STATE), model.view(replace(STATE, frame=1))
     assert run.first_unknown(model, STATE, 1) == 2
@@ -96,7 +98,7 @@ def test_frames_that_are_not_known_yet_are_named(model) -> None:
     assert (report.known, report.total) == (2, 12)
 
 
-def test_reports_are_kept_until_more_frames_are_known(model) -> None:
+def test_reports_are_kept_until_more_frames_are_known(model: ReviewModel) -> None:
     model.view(STATE)
     reports = run.Reports(model)
     first = reports.of(STATE)
@@ -107,7 +109,7 @@ def test_reports_are_kept_until_more_frames_are_known(model) -> None:
     assert reports.of(replace(STATE, threshold=0.5)) is not first
 
 
-def test_a_report_is_of_the_agents_whose_sweeps_are_corrupted(model) -> None:
+def test_a_report_is_of_the_agents_whose_sweeps_are_corrupted(model: ReviewModel) -> None:
     reports, foggy = run.Reports(model), replace(STATE, corruption="beam_missing", severity=5)
     for who in ("all", "helpers"):
         model.view(replace(foggy, who=who))

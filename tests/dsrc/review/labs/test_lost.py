@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dsrc.review.labs.lost import lost_rows
-from sensors.sweep import ADDED, MOVED, SCATTERED, make_sweep
+from sensors.sweep import ADDED, MOVED, SCATTERED, Sweep, make_sweep
 from sim.rows import stacked
 
 
-def sweep(rng, columns=True):
+def sweep(rng: np.random.Generator, columns: bool = True) -> Sweep:
     beam = np.arange(600)
     return make_sweep(
         rng.uniform(-40, 40, (600, 3)), ring=beam // 100, column=1 + beam % 100 if columns else np.zeros(600)

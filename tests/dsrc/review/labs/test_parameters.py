@@ -3,15 +3,17 @@
 import msgspec
 import pytest
 
-from dsrc.review.labs.parameters import changed, parameters_of, parse_change
+from dsrc.review.labs.parameters import Parameter, changed, parameters_of, parse_change
 from dsrc.review.sources.detected import corrupted_frame
 from sensors.corruptions import CORRUPTIONS, FAMILIES, Condition
+from sensors.corruptions.registry import Family
+from sensors.frame import Frame
 from sim.errors import SettingsError
 
 MODELS = [(kind, family) for kind in CORRUPTIONS for family in FAMILIES if parameters_of(kind, 3, family)]
 
 
-def named(kind, severity=3, family="physical"):
+def named(kind: str, severity: int = 3, family: Family = "physical") -> dict[str, Parameter]:
     return {parameter.name: parameter for parameter in parameters_of(kind, severity, family)}
 
 
@@ -23,7 +25,7 @@ def test_every_built_in_model_has_parameters() -> None:
 
 
 @pytest.mark.parametrize(("kind", "family"), MODELS)
-def test_both_ends_of_every_parameter_are_valid_settings(kind, family) -> None:
+def test_both_ends_of_every_parameter_are_valid_settings(kind: str, family: Family) -> None:
     for severity in range(1, 6):
         own = CORRUPTIONS[kind].settings_of(family).severity(severity)
         for parameter in parameters_of(kind, severity, family):
@@ -110,7 +112,7 @@ def test_a_condition_with_changes_is_none_of_the_known_ones() -> None:
     assert tuned.label == "fog 3 with extinction 0.1"
 
 
-def test_parameters_change_the_sweeps(frame) -> None:
+def test_parameters_change_the_sweeps(frame: Frame) -> None:
     plain = corrupted_frame(frame, Condition.of("point_dropping", 3), 0, "street")
     none = corrupted_frame(frame, Condition.of("point_dropping", 3, settings=(("share", 0.0),)), 0, "street")
     most = corrupted_frame(frame, Condition.of("point_dropping", 3, settings=(("share", 0.6),)), 0, "street")

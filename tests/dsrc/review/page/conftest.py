@@ -1,7 +1,7 @@
 """A page with a browser that is only a websocket: it says where its camera is and takes what comes."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import msgspec
 import pytest
@@ -9,6 +9,7 @@ import viser
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
@@ -28,7 +29,7 @@ class SocketBrowser:
         (number,) = set(app.sessions) - known
         self.session: Session = app.sessions[number]
 
-    def look_from(self, position, look_at, width: int = 1280) -> None:
+    def look_from(self, position: Sequence[float], look_at: Sequence[float], width: int = 1280) -> None:
         """Report a pose of the camera, as a browser does after every motion."""
         message = {
             "type": "ViewerCameraMessage",
@@ -56,20 +57,20 @@ class SocketBrowser:
 
 
 @pytest.fixture
-def app(model) -> Iterator[ReviewApp]:
+def app(model: ReviewModel) -> Iterator[ReviewApp]:
     app = ReviewApp(model, start_server())
     yield app
     app.close()
 
 
 @pytest.fixture
-def connect_browser():
+def connect_browser() -> type[SocketBrowser]:
     """Connect a further browser: a function of a page, a link and a width."""
     return SocketBrowser
 
 
 @pytest.fixture
-def browser(app: Iterator[ReviewApp]) -> SocketBrowser:
+def browser(app: ReviewApp) -> SocketBrowser:
     browser = SocketBrowser(app)
     browser.session.wait_drawn()
     return browser

@@ -1,18 +1,24 @@
 """Parts of a page's session, by name and by kind, and waiting for what it does."""
 
 import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from dsrc.review.page.session import Session
+
+P = TypeVar("P")
 
 
-def wait_for(condition, timeout_s=10.0) -> None:
+def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end, "nothing happened"
         time.sleep(0.01)
 
 
-def panel(session, kind):
+def panel(session: Session, kind: type[P]) -> P:
     return next(panel for panel in session.panels if isinstance(panel, kind))
 
 
-def node(session, name):
+def node(session: Session, name: str) -> Any:
     return session.client.scene.get_handle_by_name(f"/drive0{name}")

@@ -1,16 +1,21 @@
 """The page in a real Chromium: what only a browser can show."""
 
 import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dsrc.review import palette
+from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS
-from dsrc.review.page.output.screenshot import find_chromium, open_page
+from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page
 from dsrc.review.page.server import start_server
+from dsrc.review.page.session import Session
 from dsrc.review.state import ReviewState
+from dsrc.review.view import FrameView
 
 pytestmark = [
     pytest.mark.browser,
@@ -23,26 +28,26 @@ RUN = {command.label: command.run for command in COMMANDS}
 class Opened:
     """A page in a browser, with the session that it belongs to."""
 
-    def __init__(self, app, page) -> None:
+    def __init__(self, app: ReviewApp, page: BrowserPage) -> None:
         self.app, self.page = app, page
         page.send("Emulation.setFocusEmulationEnabled", enabled=True)
         page.wait_for("document.querySelector('canvas') && window.__viserMutable", 60.0)
         self.session.wait_drawn()
 
     @property
-    def session(self):
+    def session(self) -> Session:
         """Session of the newest browser."""
         return self.app.wait_session(1, 60.0)[-1]
 
-    def key(self, key, **more) -> None:
+    def key(self, key: str, **more: Any) -> None:
         self.page.send("Input.dispatchKeyEvent", type="keyDown", key=key, **more)
         self.page.send("Input.dispatchKeyEvent", type="keyUp", key=key, **more)
 
-    def click(self, x, y) -> None:
+    def click(self, x: float, y: float) -> None:
         for kind in ("mousePressed", "mouseReleased"):
             self.page.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def place_of(self, script):
+    def place_of(self, script: str) -> tuple[float, float]:
         """Middle of an element on the screen, px, once it is there."""
         self.page.wait_for(script, 20.0)
         self.page.evaluate(f"({script}).scrollIntoView({{block:'center'}})")
@@ -51,10 +56,10 @@ class Opened:
         )
         return tuple(box)
 
-    def text(self):
+    def text(self) -> str:
         return self.page.evaluate("document.body.innerText")
 
-    def image(self):
+    def image(self) -> np.ndarray:
         render = {"height": SIZE[1], "width": SIZE[0], "transport_format": "png", "timeout": 60.0}
         self.session.client.get_render(**render)
         # The first picture can come before the browser has built all nodes.
@@ -62,7 +67,9 @@ class Opened:
         return self.session.client.get_render(**render)[..., :3].astype(int)
 
 
-def wait_for(condition, timeout_s=20.0, otherwise=lambda: "nothing happened") -> None:
+def wait_for(
+    condition: Callable[[], object], timeout_s: float = 20.0, otherwise: Callable[[], str] = lambda: "nothing happened"
+) -> None:
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end, otherwise()
@@ -70,7 +77,7 @@ def wait_for(condition, timeout_s=20.0, otherwise=lambda: "nothing happened") ->
 
 
 @pytest.fixture(scope="module")
-def opened(street):
+def opened(street: ReviewModel) -> Iterator[Opened]:
     app = ReviewApp(street, start_server())
     try:
         with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
@@ -80,18 +87,18 @@ def opened(street):
 
 
 @pytest.fixture(autouse=True)
-def afresh(opened) -> None:
+def afresh(opened: Opened) -> None:
     opened.session.update(**{field: getattr(ReviewState(), field) for field in ReviewState.__slots__})
     RUN["Camera: reset"](opened.session)
     opened.session.wait_drawn()
 
 
-def shown(image, rgb, tolerance=3):
+def shown(image: np.ndarray, rgb: Sequence[int], tolerance: int = 3) -> int:
     """Pixels of exactly this colour, up to rounding."""
     return int(np.count_nonzero(np.abs(image - np.array(rgb)).max(axis=-1) <= tolerance))
 
 
-def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_away(opened) -> None:
+def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_away(opened: Opened) -> None:
     session = opened.session
     quiet = frozenset({"bodies", "labels", "links", "world"})
     session.update(threshold=0.0, layers_off=quiet, hidden=frozenset({1000, 1002, -1}))
@@ -105,7 +112,7 @@ def test_colours_are_shown_as_they_are_named_and_the_threshold_takes_detections_
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
-def test_an_agents_body_and_its_points_have_one_colour(opened, theme: str) -> None:
+def test_an_agents_body_and_its_points_have_one_colour(opened: Opened, theme: str) -> None:
     session = opened.session
     session.update(
         theme=theme,
@@ -119,7 +126,7 @@ def test_an_agents_body_and_its_points_have_one_colour(opened, theme: str) -> No
         assert shown(bodies, palette.AGENT_COLORS[row], 8) > 10, f"roof of agent {row}"
 
 
-def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened) -> None:
+def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened: Opened) -> None:
     session = opened.session
     session.update(frame=5, iou=0.7)
     session.place_camera("chase")
@@ -134,7 +141,7 @@ def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened) -
     wait_for(lambda: np.allclose(again.client.camera.position, [-34.0, 0.0, 21.0], atol=0.02))
 
 
-def test_a_lost_connection_comes_back_to_the_same_frame(opened) -> None:
+def test_a_lost_connection_comes_back_to_the_same_frame(opened: Opened) -> None:
     session = opened.session
     session.update(frame=4)
     session.wait_drawn()
@@ -144,12 +151,12 @@ def test_a_lost_connection_comes_back_to_the_same_frame(opened) -> None:
     assert opened.session.wait_drawn().index == 4
 
 
-def test_keys_work_after_a_choice_in_a_dropdown(opened) -> None:
+def test_keys_work_after_a_choice_in_a_dropdown(opened: Opened) -> None:
     before = opened.session.state.frame
     option = "[...document.querySelectorAll('[role=option]')].find(e=>e.textContent==='fog')"
     shown = f"Boolean({option} && {option}.getBoundingClientRect().height)"
 
-    def opens():
+    def opens() -> Any:
         # A page that has just come back may take no click yet.
         if not opened.page.evaluate(shown):
             opened.click(*opened.place_of("[...document.querySelectorAll('input')].find(e=>e.value==='clean')"))
@@ -164,7 +171,7 @@ def test_keys_work_after_a_choice_in_a_dropdown(opened) -> None:
     wait_for(lambda: opened.session.state.frame == before + 1)
 
 
-def test_help_opens_on_a_question_mark(opened) -> None:
+def test_help_opens_on_a_question_mark(opened: Opened) -> None:
     opened.key("?", code="Slash", text="?", modifiers=8)
     opened.page.wait_for("document.body.innerText.includes('Ten frames forward')", 20.0)
     opened.session.toggle_help()
@@ -172,7 +179,7 @@ def test_help_opens_on_a_question_mark(opened) -> None:
 
 
 @pytest.mark.parametrize(("layer", "field"), [("detections/fp", "detection"), ("truth/fn", "object_id")])
-def test_a_click_on_a_box_opens_its_card(opened, layer: str, field: str) -> None:
+def test_a_click_on_a_box_opens_its_card(opened: Opened, layer: str, field: str) -> None:
     session = opened.session
     session.update(frame=1, threshold=0.0, layers_off=frozenset({"labels", "links"}))
     session.fly_to(session.wait_drawn().layers[layer].center[0])
@@ -186,11 +193,11 @@ def test_a_click_on_a_box_opens_its_card(opened, layer: str, field: str) -> None
 
 
 def test_what_cannot_be_drawn_is_told_on_the_page_and_the_next_frame_is_drawn(
-    opened, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     view = opened.app.model.view
 
-    def broken(state):
+    def broken(state: ReviewState) -> FrameView:
         if state.frame == 3:
             raise KeyError("yaw of the bus")
         return view(state)
@@ -203,7 +210,7 @@ def test_what_cannot_be_drawn_is_told_on_the_page_and_the_next_frame_is_drawn(
     opened.page.wait_for("!document.body.innerText.includes('yaw of the bus')", 20.0)
 
 
-def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened) -> None:
+def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened: Opened) -> None:
     session = opened.session
     session.place_camera("chase")
     session.wait_drawn()
@@ -219,7 +226,7 @@ def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened) -> None:
     assert away == pytest.approx(np.hypot(34.0, 21.0), abs=1.0)
 
 
-def test_a_page_says_that_it_is_drawing_until_it_shows_a_frame(opened) -> None:
+def test_a_page_says_that_it_is_drawing_until_it_shows_a_frame(opened: Opened) -> None:
     text = "document.getElementById('review-drawing')"
     assert opened.page.evaluate(text) is None
     with opened.app._using_model, open_page(f"{opened.app.url}/?fixedDpr=1", (400, 300)) as page:
@@ -234,7 +241,7 @@ def test_a_page_says_that_it_is_drawing_until_it_shows_a_frame(opened) -> None:
     wait_for(lambda: len(opened.app.sessions) == 1)
 
 
-def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(opened) -> None:
+def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(opened: Opened) -> None:
     first = opened.session
     place = np.array(first.client.camera.position)
     with open_page(f"{opened.app.url}/?fixedDpr=1", (700, 500)) as page:

@@ -1,6 +1,7 @@
 """The labs in a real Chromium: what they draw is seen, and their widgets are there."""
 
 import time
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -9,9 +10,10 @@ from dsrc.data.drives import open_drive
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.output.screenshot import find_chromium, open_page
+from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.server import start_server
+from dsrc.review.page.session import Session
 from tests.dsrc.review.labs.drive import small_drive
 
 pytestmark = [
@@ -23,7 +25,7 @@ QUIET = frozenset({"truth", "bodies", "labels", "links", "world"})
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory):
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[BrowserPage, Session]]:
     """Page of a simulated drive in a browser, and the session that it belongs to."""
     app = ReviewApp(ReviewModel([open_drive(small_drive(tmp_path_factory.mktemp("data")))]), start_server())
     try:
@@ -37,7 +39,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory):
         app.close()
 
 
-def image(session):
+def image(session: Session) -> np.ndarray:
     render = {"height": SIZE[1], "width": SIZE[0], "transport_format": "png", "timeout": 60.0}
     session.client.get_render(**render)
     # The first picture can come before the browser has built all nodes.
@@ -45,12 +47,12 @@ def image(session):
     return session.client.get_render(**render)[..., :3].astype(int)
 
 
-def shown(picture, rgb):
+def shown(picture: np.ndarray, rgb: Sequence[int]) -> int:
     """Pixels of this colour, up to rounding."""
     return int(np.count_nonzero(np.abs(picture - np.array(rgb)).max(axis=-1) <= 3))
 
 
-def test_lost_points_are_seen_in_their_colour_and_parameters_have_sliders(opened) -> None:
+def test_lost_points_are_seen_in_their_colour_and_parameters_have_sliders(opened: tuple[BrowserPage, Session]) -> None:
     page, session = opened
     session.update(corruption="point_dropping", parameters=(("share", 0.6),), color_by="fate", point_size_m=0.3)
     session.wait_drawn()
@@ -62,7 +64,7 @@ def test_lost_points_are_seen_in_their_colour_and_parameters_have_sliders(opened
     assert shown(image(session), palette.LOST) == 0
 
 
-def test_the_points_of_a_cast_sensor_are_seen_in_their_colour(opened) -> None:
+def test_the_points_of_a_cast_sensor_are_seen_in_their_colour(opened: tuple[BrowserPage, Session]) -> None:
     _, session = opened
     hidden = frozenset(agent.agent_id for agent in session.view.agents)
     session.update(sensor="vlp-16", carrier="pole", hidden=hidden, point_size_m=0.3)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dsrc.review.errors.report import shown_error
+from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp, live_page
 from dsrc.review.page.cells.html import compare_address
 from dsrc.review.page.output.screenshot import find_chromium, open_page
@@ -20,11 +21,11 @@ pytestmark = [
 ]
 
 
-def press_n(opened, shift=False) -> None:
+def press_n(opened: Opened, shift: bool = False) -> None:
     opened.key("N" if shift else "n", code="KeyN", text="n", windowsVirtualKeyCode=78, modifiers=8 if shift else 0)
 
 
-def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model) -> None:
+def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model: ReviewModel) -> None:
     app = ReviewApp(model, start_server())
     try:
         with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
@@ -59,7 +60,7 @@ def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model) ->
         app.close()
 
 
-def test_two_cells_have_one_camera_after_a_drag(model, fake_fog) -> None:
+def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: list[tuple[int, str, int]]) -> None:
     app = ReviewApp(model, start_server())
     try:
         with open_page(app.url + compare_address("frame=2", "frame=2&corruption=fog"), (1200, 600)) as page:

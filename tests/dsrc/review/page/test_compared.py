@@ -9,19 +9,21 @@ from dsrc.review.page.commands import lay_over
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
 from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.report import ReportPanel
+from dsrc.review.page.session import Session
 from dsrc.review.sources.detected import ComputedSet
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.errors.test_report import Blind
 from tests.dsrc.review.page.test_session import node, panel, wait_for
 
 
 @pytest.fixture
-def model(drive, detector) -> ReviewModel:
+def model(drive: FakeDrive, detector: FakeDetector) -> ReviewModel:
     model = ReviewModel([drive], detector)
     model.sources[0].sets["blind"] = ComputedSet("blind", Blind())
     return model
 
 
-def test_two_methods_are_drawn_over_each_other_and_told_apart(session) -> None:
+def test_two_methods_are_drawn_over_each_other_and_told_apart(session: Session) -> None:
     session.update(methods=("detector", "blind"))
     view = session.wait_drawn()
     (blind,) = view.compared
@@ -33,7 +35,7 @@ def test_two_methods_are_drawn_over_each_other_and_told_apart(session) -> None:
     wait_for(lambda: counts in panel(session, ReportPanel).notice.content)
 
 
-def test_one_method_alone_leaves_nothing_of_the_other(session) -> None:
+def test_one_method_alone_leaves_nothing_of_the_other(session: Session) -> None:
     session.update(methods=("detector", "blind"))
     session.wait_drawn()
     session.update(methods=("blind",))
@@ -41,7 +43,7 @@ def test_one_method_alone_leaves_nothing_of_the_other(session) -> None:
     assert not any(node(session, f"/compared/0/{kind}").visible for kind in ("false", "missed"))
 
 
-def test_the_list_is_of_the_methods_that_are_left(session, fake_fog) -> None:
+def test_the_list_is_of_the_methods_that_are_left(session: Session, fake_fog: list[tuple[int, str, int]]) -> None:
     errors, lab = panel(session, ErrorsPanel), panel(session, CorruptionLabPanel)
     lay_over(session)
     session.update(error_method="blind")

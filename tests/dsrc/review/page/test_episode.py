@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 
 from dsrc.review.model import ReviewModel
+from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.page.panels.report import ReportPanel
+from dsrc.review.page.session import Session
 from dsrc.review.sources.episodes import episode_source
 from tests.dsrc.closed_loop.test_log import full_log
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
+from tests.dsrc.review.page.conftest import SocketBrowser
 from tests.dsrc.review.page.test_session import node, panel, wait_for
 
 
@@ -16,12 +20,12 @@ def model() -> ReviewModel:
     return ReviewModel([episode_source(full_log())])
 
 
-def lines(session, name):
+def lines(session: Session, name: str) -> int:
     handle = node(session, name)
     return 0 if handle is None or not handle.visible else len(handle.points)
 
 
-def test_every_step_is_drawn_as_the_log_has_it(session) -> None:
+def test_every_step_is_drawn_as_the_log_has_it(session: Session) -> None:
     ticks = full_log().ticks
     for row, tick in enumerate(ticks):
         session.update(frame=row)
@@ -37,7 +41,9 @@ def test_every_step_is_drawn_as_the_log_has_it(session) -> None:
         assert (lines(session, "/plan/contact") > 0) == (tick.contact is not None)
 
 
-def test_a_world_that_cannot_be_rebuilt_is_told_on_the_first_frame(app, connect_browser) -> None:
+def test_a_world_that_cannot_be_rebuilt_is_told_on_the_first_frame(
+    app: ReviewApp, connect_browser: type[SocketBrowser]
+) -> None:
     session = connect_browser(app).session
     session.wait_drawn()
     told = session._notice
@@ -48,14 +54,14 @@ def test_a_world_that_cannot_be_rebuilt_is_told_on_the_first_frame(app, connect_
     assert not told.visible
 
 
-def test_layers_of_an_episode_can_be_switched_off(session) -> None:
+def test_layers_of_an_episode_can_be_switched_off(session: Session) -> None:
     for name in ("plan", "tracks", "claims"):
         session.update(layers_off=frozenset({name}))
         session.wait_drawn()
         assert not node(session, f"/{name}").visible
 
 
-def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session) -> None:
+def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session: Session) -> None:
     episode = panel(session, EpisodePanel)
     log = full_log()
     for row in (0, len(log) - 1):
@@ -69,7 +75,9 @@ def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session) -> None:
     assert episode.folder.visible
 
 
-def test_a_drive_has_no_episode(model: ReviewModel, detector, drive, connect_browser) -> None:
+def test_a_drive_has_no_episode(
+    model: ReviewModel, detector: FakeDetector, drive: FakeDrive, connect_browser: type[SocketBrowser]
+) -> None:
     from dsrc.review.page.app import ReviewApp
     from dsrc.review.page.server import start_server
 
@@ -83,7 +91,7 @@ def test_a_drive_has_no_episode(model: ReviewModel, detector, drive, connect_bro
         app.close()
 
 
-def test_missing_detections_are_explained(session) -> None:
+def test_missing_detections_are_explained(session: Session) -> None:
     session.update(corruption="fog")
     view = session.wait_drawn()
     report = panel(session, ReportPanel)
@@ -91,7 +99,7 @@ def test_missing_detections_are_explained(session) -> None:
     wait_for(lambda: report.notice.visible and report.notice.content == view.notice)
 
 
-def test_the_axis_of_time_is_that_of_the_episode(session) -> None:
+def test_the_axis_of_time_is_that_of_the_episode(session: Session) -> None:
     episode = panel(session, EpisodePanel)
     log = full_log()
     session.wait_drawn()

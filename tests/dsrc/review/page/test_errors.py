@@ -2,7 +2,9 @@
 
 import json
 import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,23 +17,26 @@ from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.notes import NotesPanel
 from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.page.server import start_server
+from dsrc.review.page.session import Session
 from sim.errors import SettingsError
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
+from tests.dsrc.review.page.conftest import SocketBrowser
 from tests.dsrc.review.page.test_session import panel, wait_for
 
 RUN = {command.label: command.run for command in COMMANDS}
 
 
 @pytest.fixture
-def model(drive, detector, tmp_path: Path) -> ReviewModel:
+def model(drive: FakeDrive, detector: FakeDetector, tmp_path: Path) -> ReviewModel:
     return ReviewModel([drive], detector, NoteBook(tmp_path / "notes.json"))
 
 
-def missed(session):
+def missed(session: Session) -> str | None:
     details = session.wait_drawn().details
     return None if details is None else getattr(details, "verdict", None)
 
 
-def test_n_goes_to_the_next_missed_object_box_card_and_camera(session, browser) -> None:
+def test_n_goes_to_the_next_missed_object_box_card_and_camera(session: Session, browser: SocketBrowser) -> None:
     RUN["Next missed object"](session)
     state = session.state
     assert state.frame == 0 and state.object_id is not None
@@ -44,7 +49,7 @@ def test_n_goes_to_the_next_missed_object_box_card_and_camera(session, browser) 
     assert (session.state.frame, session.state.object_id) == (0, state.object_id)
 
 
-def test_p_goes_to_false_detections_alone(session) -> None:
+def test_p_goes_to_false_detections_alone(session: Session) -> None:
     RUN["Next false detection"](session)
     assert session.state.detection is not None and missed(session) == "false positive"
     first = session.state.frame
@@ -52,7 +57,7 @@ def test_p_goes_to_false_detections_alone(session) -> None:
     assert session.state.frame == first + 1 and missed(session) == "false positive"
 
 
-def test_the_last_one_says_that_there_is_none_after_it(session) -> None:
+def test_the_last_one_says_that_there_is_none_after_it(session: Session) -> None:
     session.update(frame=11)
     RUN["Next missed object"](session)
     here = session.state
@@ -61,7 +66,7 @@ def test_the_last_one_says_that_there_is_none_after_it(session) -> None:
     assert "in the whole run" in session._notice.content
 
 
-def test_without_any_it_says_so_after_all_frames(session) -> None:
+def test_without_any_it_says_so_after_all_frames(session: Session) -> None:
     session.update(threshold=1.0)
     go_to_error(session, 1, "false")
     assert "No false detection after this one" in session._notice.content
@@ -69,14 +74,16 @@ def test_without_any_it_says_so_after_all_frames(session) -> None:
 
 
 @pytest.fixture
-def presses(session, detector, monkeypatch: pytest.MonkeyPatch):
+def presses(
+    session: Session, detector: FakeDetector, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[[str], list[threading.Thread]]]:
     """Press keys that search, each in a thread of its own, while no detection ends."""
     detect, gate, threads = detector.detect, threading.Event(), []
     session.update(threshold=1.0)
     session.wait_drawn()
     monkeypatch.setattr(detector, "detect", lambda sample: gate.wait(20.0) and detect(sample))
 
-    def press(kind):
+    def press(kind: str) -> list[threading.Thread]:
         threads.append(threading.Thread(target=go_to_error, args=(session, 1, kind), daemon=True))
         threads[-1].start()
         return threads
@@ -87,7 +94,9 @@ def presses(session, detector, monkeypatch: pytest.MonkeyPatch):
         thread.join(20.0)
 
 
-def test_a_held_key_searches_once_and_another_key_in_its_place(session, presses) -> None:
+def test_a_held_key_searches_once_and_another_key_in_its_place(
+    session: Session, presses: Callable[[str], list[threading.Thread]]
+) -> None:
     for _ in range(5):
         threads = presses("false")
     wait_for(lambda: sum(thread.is_alive() for thread in threads) == 1, 3.0)
@@ -99,14 +108,16 @@ def test_a_held_key_searches_once_and_another_key_in_its_place(session, presses)
     wait_for(lambda: not any(thread.is_alive() for thread in threads), 3.0)
 
 
-def test_a_search_ends_with_its_page(session, browser, presses) -> None:
+def test_a_search_ends_with_its_page(
+    session: Session, browser: SocketBrowser, presses: Callable[[str], list[threading.Thread]]
+) -> None:
     threads = presses("false")
     wait_for(lambda: "Looking for a false detection" in session._notice.content)
     browser.close()
     wait_for(lambda: not threads[0].is_alive(), 3.0)
 
 
-def test_without_labels_or_detector_it_says_why(truth_model, connect_browser) -> None:
+def test_without_labels_or_detector_it_says_why(truth_model: ReviewModel, connect_browser: type[SocketBrowser]) -> None:
     app = ReviewApp(truth_model, start_server())
     try:
         session = connect_browser(app).session
@@ -118,7 +129,7 @@ def test_without_labels_or_detector_it_says_why(truth_model, connect_browser) ->
         app.close()
 
 
-def test_detecting_in_all_frames_fills_the_list(session) -> None:
+def test_detecting_in_all_frames_fills_the_list(session: Session) -> None:
     errors = panel(session, ErrorsPanel)
     assert errors.detect.visible and "1 of 12 frames" in errors.progress.content
     session.detect_all()
@@ -131,7 +142,7 @@ def test_detecting_in_all_frames_fills_the_list(session) -> None:
 
 
 def test_drives_of_one_name_detect_for_themselves(
-    drive, detector, connect_browser, monkeypatch: pytest.MonkeyPatch
+    drive: FakeDrive, detector: FakeDetector, connect_browser: type[SocketBrowser], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = type(drive)(drive=Path("elsewhere/street"))
     app = ReviewApp(ReviewModel([drive, other], detector), start_server())
@@ -150,7 +161,7 @@ def test_drives_of_one_name_detect_for_themselves(
         app.close()
 
 
-def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_again(session) -> None:
+def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_again(session: Session) -> None:
     session.detect_all()
     errors = panel(session, ErrorsPanel)
     wait_for(lambda: "12 of 12 frames" in errors.progress.content)
@@ -166,7 +177,7 @@ def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_agai
     assert (session.report(session.state).errors.kind != FP).all()
 
 
-def test_clean_sweeps_have_no_list_of_what_is_broken(session, fake_fog) -> None:
+def test_clean_sweeps_have_no_list_of_what_is_broken(session: Session, fake_fog: list[tuple[int, str, int]]) -> None:
     errors = panel(session, ErrorsPanel)
     session.update(corruption="fog", listed="broken")
     session.wait_drawn()
@@ -177,11 +188,13 @@ def test_clean_sweeps_have_no_list_of_what_is_broken(session, fake_fog) -> None:
     assert session.state.listed == "all" and errors._report is session.report(session.state)
 
 
-def test_where_there_is_no_report_nothing_is_left_of_the_one_before(session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_there_is_no_report_nothing_is_left_of_the_one_before(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
     errors = panel(session, ErrorsPanel)
     wait_for(lambda: errors.rows[0].visible and errors.plot is not None)
 
-    def none(*_) -> None:
+    def none(*_: object) -> None:
         raise SettingsError("street: methods: expected a set of detections, found none")
 
     with monkeypatch.context() as patch:
@@ -196,8 +209,8 @@ def test_where_there_is_no_report_nothing_is_left_of_the_one_before(session, mon
     wait_for(lambda: errors.rows[0].visible and errors.plot is not None)
 
 
-def test_a_panel_that_fails_keeps_no_other_from_being_set(session, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(_) -> None:
+def test_a_panel_that_fails_keeps_no_other_from_being_set(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_: object) -> None:
         raise RuntimeError("no curve")
 
     with monkeypatch.context() as patch:
@@ -207,7 +220,7 @@ def test_a_panel_that_fails_keeps_no_other_from_being_set(session, monkeypatch: 
         wait_for(lambda: "no curve" in session._notice.content and panel(session, NotesPanel).folder.visible)
 
 
-def test_a_note_is_saved_beside_the_run_and_comes_back(session, tmp_path: Path) -> None:
+def test_a_note_is_saved_beside_the_run_and_comes_back(session: Session, tmp_path: Path) -> None:
     notes = panel(session, NotesPanel)
     assert not notes.folder.visible
     RUN["Next missed object"](session)
@@ -224,7 +237,7 @@ def test_a_note_is_saved_beside_the_run_and_comes_back(session, tmp_path: Path) 
     wait_for(lambda: notes.folder.visible and notes.text.value == "behind the truck")
 
 
-def noting(session, **selection):
+def noting(session: Session, **selection: Any) -> NotesPanel:
     """Panel of the notes once something else is selected."""
     notes = panel(session, NotesPanel)
     session.update(**selection)
@@ -233,7 +246,9 @@ def noting(session, **selection):
     return notes
 
 
-def test_browsers_keep_each_others_notes(app, session, connect_browser) -> None:
+def test_browsers_keep_each_others_notes(
+    app: ReviewApp, session: Session, connect_browser: type[SocketBrowser]
+) -> None:
     other = connect_browser(app).session
     mine, theirs = (noting(one, object_id=1005) for one in (session, other))
     theirs.text.value = "a truck hides it"
@@ -252,7 +267,7 @@ def test_browsers_keep_each_others_notes(app, session, connect_browser) -> None:
     assert note == {"text": "a van hides it", "tags": ["far"]}
 
 
-def test_what_is_being_written_is_there_again_with_its_error(session) -> None:
+def test_what_is_being_written_is_there_again_with_its_error(session: Session) -> None:
     notes = noting(session, object_id=1005)
     notes.text.value = "half a no"
     session.step(1)
@@ -267,7 +282,9 @@ def test_what_is_being_written_is_there_again_with_its_error(session) -> None:
     assert len(session.notes) == 1
 
 
-def test_notes_are_of_one_drive_one_ego_and_its_cooperation(drive, detector, tmp_path: Path, connect_browser) -> None:
+def test_notes_are_of_one_drive_one_ego_and_its_cooperation(
+    drive: FakeDrive, detector: FakeDetector, tmp_path: Path, connect_browser: type[SocketBrowser]
+) -> None:
     other = type(drive)(drive=Path("elsewhere/street"))
     app = ReviewApp(ReviewModel([drive, other], detector, NoteBook(tmp_path)), start_server())
     try:
@@ -290,7 +307,7 @@ def test_notes_are_of_one_drive_one_ego_and_its_cooperation(drive, detector, tmp
         app.close()
 
 
-def test_the_list_is_saved_with_its_notes(session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_list_is_saved_with_its_notes(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
     monkeypatch.setattr(session.client, "send_file_download", lambda name, content: given.append((name, content)))
     errors = panel(session, ErrorsPanel)
@@ -301,7 +318,7 @@ def test_the_list_is_saved_with_its_notes(session, monkeypatch: pytest.MonkeyPat
     assert len(content.decode().splitlines()) == 1 + len(session.report(session.state).errors)
 
 
-def test_in_the_light_theme_nothing_in_the_list_is_dark_and_no_curve_white(session) -> None:
+def test_in_the_light_theme_nothing_in_the_list_is_dark_and_no_curve_white(session: Session) -> None:
     errors = panel(session, ErrorsPanel)
     for theme in ("light", "dark", "light"):
         session.update(theme=theme)

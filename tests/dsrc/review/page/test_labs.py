@@ -2,13 +2,17 @@
 
 import re
 import threading
+from collections.abc import Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from viser.transforms import SO3
 
 from dsrc.data.drives import open_drive
+from dsrc.review.labs.casting import DriveWorld
+from dsrc.review.labs.placement import Cast, Placement
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import toggle_corruption
@@ -17,23 +21,26 @@ from dsrc.review.page.panels.agents import AgentsPanel
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.server import start_server
+from dsrc.review.page.session import Session
 from dsrc.review.state import ReviewState
+from sensors.spec import LidarSpec
 from tests.dsrc.review.labs.drive import small_drive
+from tests.dsrc.review.page.conftest import SocketBrowser
 from tests.dsrc.review.page.session import node, panel, wait_for
 
 
-def counted(lab):
+def counted(lab: CorruptionLabPanel) -> list[list[str]]:
     """Cells of each row of the table of points."""
     rows = re.findall("<tr>(.*?)</tr>", lab.effects.content.replace("\u2009", ""))
     return [re.findall("<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
 
 
 @pytest.fixture
-def lab(session):
+def lab(session: Session) -> CorruptionLabPanel:
     return panel(session, CorruptionLabPanel)
 
 
-def test_a_corruption_brings_its_parameters(session, lab) -> None:
+def test_a_corruption_brings_its_parameters(session: Session, lab: CorruptionLabPanel) -> None:
     assert not lab.parameters and not lab.effects.visible
     session.update(corruption="point_dropping", severity=4)
     session.wait_drawn()
@@ -44,7 +51,7 @@ def test_a_corruption_brings_its_parameters(session, lab) -> None:
     wait_for(lambda: not lab.parameters)
 
 
-def test_a_slider_changes_the_sweeps_and_the_severity_sets_it_back(session, lab) -> None:
+def test_a_slider_changes_the_sweeps_and_the_severity_sets_it_back(session: Session, lab: CorruptionLabPanel) -> None:
     session.update(corruption="point_dropping")
     session.wait_drawn()
     slider = lab.parameters["share"].handle
@@ -57,7 +64,7 @@ def test_a_slider_changes_the_sweeps_and_the_severity_sets_it_back(session, lab)
     wait_for(lambda: slider.value == pytest.approx(0.06))
 
 
-def test_choices_and_whole_numbers_keep_their_type(session, lab) -> None:
+def test_choices_and_whole_numbers_keep_their_type(session: Session, lab: CorruptionLabPanel) -> None:
     session.update(corruption="point_dropping")
     session.wait_drawn()
     lab.parameters["how"].handle.value = "patches"
@@ -71,7 +78,7 @@ def test_choices_and_whole_numbers_keep_their_type(session, lab) -> None:
     wait_for(lambda: session.state.parameters == ())
 
 
-def test_lost_points_are_drawn_and_all_are_counted(session, lab) -> None:
+def test_lost_points_are_drawn_and_all_are_counted(session: Session, lab: CorruptionLabPanel) -> None:
     whole = session.view.agents[0]
     session.update(corruption="point_dropping", color_by="fate")
     agent = session.wait_drawn().agents[0]
@@ -86,14 +93,14 @@ def test_lost_points_are_drawn_and_all_are_counted(session, lab) -> None:
     assert not node(session, "/agents/ego_vehicle_1000/lidar/lost").visible
 
 
-def test_moved_points_are_counted_as_such(session, lab) -> None:
+def test_moved_points_are_counted_as_such(session: Session, lab: CorruptionLabPanel) -> None:
     session.update(corruption="noise", parameters=(("size_m", 0.2),))
     agent = session.wait_drawn().agents[0]
     wait_for(lambda: ["vehicle 1000", f"{agent.total}", "0", f"{agent.total}", "0"] in counted(lab))
     assert counted(lab)[0] == ["", "points", "added", "moved", "lost"]
 
 
-def test_colours_that_are_a_scale_have_a_bar(session) -> None:
+def test_colours_that_are_a_scale_have_a_bar(session: Session) -> None:
     agents = panel(session, AgentsPanel)
     for color_by, ends in (("height", ("-0.5 m", "8 m")), ("intensity", ("0", "1"))):
         session.update(color_by=color_by)
@@ -105,7 +112,7 @@ def test_colours_that_are_a_scale_have_a_bar(session) -> None:
     wait_for(lambda: "linear-gradient" not in agents.legend.content)
 
 
-def test_the_ego_is_named_and_others_when_they_are_selected(session) -> None:
+def test_the_ego_is_named_and_others_when_they_are_selected(session: Session) -> None:
     names = {"ego": "/agents/ego_vehicle_1000/label", "other": "/agents/vehicle_1002/label"}
     assert node(session, names["ego"]).visible and not node(session, names["other"]).visible
     session.update(object_id=1002)
@@ -113,7 +120,7 @@ def test_the_ego_is_named_and_others_when_they_are_selected(session) -> None:
     assert node(session, names["other"]).visible
 
 
-def test_clean_and_back_keeps_the_parameters(session) -> None:
+def test_clean_and_back_keeps_the_parameters(session: Session) -> None:
     session.update(corruption="noise", severity=2, parameters=(("size_m", 0.2),))
     toggle_corruption(session)
     assert (session.state.corruption, session.state.parameters) == ("clean", ())
@@ -121,7 +128,7 @@ def test_clean_and_back_keeps_the_parameters(session) -> None:
     assert (session.state.corruption, session.state.parameters) == ("noise", (("size_m", 0.2),))
 
 
-def test_a_link_with_parameters_that_do_not_exist_is_refused(model) -> None:
+def test_a_link_with_parameters_that_do_not_exist_is_refused(model: ReviewModel) -> None:
     state, _, complaints = read_link("corruption=noise&parameters=loud:3", model, ReviewState())
     assert state == ReviewState(corruption="noise") and "expected size_m" in complaints[0]
     state, _, complaints = read_link("corruption=fog&parameters=extinction:-3", model, ReviewState())
@@ -130,7 +137,7 @@ def test_a_link_with_parameters_that_do_not_exist_is_refused(model) -> None:
     assert write_link(model, tuned, None) == "corruption=fog&parameters=extinction:0.123"
 
 
-def test_the_ap_of_the_drive_is_filled_in_clean_and_corrupted(session, lab) -> None:
+def test_the_ap_of_the_drive_is_filled_in_clean_and_corrupted(session: Session, lab: CorruptionLabPanel) -> None:
     session.update(corruption="point_dropping", parameters=(("share", 0.6),))
     session.wait_drawn()
     wait_for(lambda: "| 1 of 12 |" in lab.scores.content and lab.detect.visible)
@@ -143,7 +150,7 @@ def test_the_ap_of_the_drive_is_filled_in_clean_and_corrupted(session, lab) -> N
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory):
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReviewApp]:
     """Page of a simulated drive, which has a world."""
     drive = open_drive(small_drive(tmp_path_factory.mktemp("data")))
     app = ReviewApp(ReviewModel([drive]), start_server())
@@ -152,7 +159,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory):
 
 
 @pytest.fixture
-def placed(recorded, connect_browser):
+def placed(recorded: ReviewApp, connect_browser: type[SocketBrowser]) -> Iterator[Session]:
     browser = connect_browser(recorded)
     browser.session.wait_drawn()
     session = browser.session
@@ -164,13 +171,13 @@ def placed(recorded, connect_browser):
     wait_for(lambda: not recorded.sessions)
 
 
-def cast_of(session):
+def cast_of(session: Session) -> Cast:
     sensors = panel(session, SensorLabPanel)
     wait_for(lambda: sensors.cast is not None)
     return sensors.cast
 
 
-def cast_after(session, **changes):
+def cast_after(session: Session, **changes: Any) -> Cast:
     """Cast of a change of the state."""
     before = panel(session, SensorLabPanel).cast
     session.update(**changes)
@@ -179,7 +186,7 @@ def cast_after(session, **changes):
     return cast_of(session)
 
 
-def test_a_preset_on_the_ego_is_cast_and_counted(placed) -> None:
+def test_a_preset_on_the_ego_is_cast_and_counted(placed: Session) -> None:
     sensors = panel(placed, SensorLabPanel)
     made = cast_after(placed, sensor="vlp-16")
     assert made.rays == made.sweep.spec.rings * made.sweep.spec.columns
@@ -197,7 +204,7 @@ def test_a_preset_on_the_ego_is_cast_and_counted(placed) -> None:
     assert not sensors.text.visible
 
 
-def test_the_gizmo_moves_the_sensor(placed) -> None:
+def test_the_gizmo_moves_the_sensor(placed: Session) -> None:
     sensors = panel(placed, SensorLabPanel)
     cast_after(placed, sensor="vlp-16")
     ego = placed.view.ego.review_from_body
@@ -212,7 +219,7 @@ def test_the_gizmo_moves_the_sensor(placed) -> None:
     assert sensors.position.value == pytest.approx((1.0, 2.0, 4.0), abs=0.01)
 
 
-def test_numbers_move_the_sensor_and_the_usual_place_brings_it_back(placed) -> None:
+def test_numbers_move_the_sensor_and_the_usual_place_brings_it_back(placed: Session) -> None:
     sensors = panel(placed, SensorLabPanel)
     cast_after(placed, sensor="vlp-16", carrier="pole")
     sensors.position.value = (3.0, -2.0, 7.0)
@@ -222,12 +229,11 @@ def test_numbers_move_the_sensor_and_the_usual_place_brings_it_back(placed) -> N
     assert placed.state.placement == ()
 
 
-def test_the_newest_place_wins(placed, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dsrc.review.labs.casting import DriveWorld
+def test_the_newest_place_wins(placed: Session, monkeypatch: pytest.MonkeyPatch) -> None:
 
     gate, cast, places = threading.Event(), DriveWorld.cast, []
 
-    def slow(self, index, time_s, spec, placement, carrier):
+    def slow(self: DriveWorld, index: int, time_s: float, spec: LidarSpec, placement: Placement, carrier: int) -> Cast:
         places.append(placement.xyz_m[2])
         gate.wait(5.0)
         return cast(self, index, time_s, spec, placement, carrier)
@@ -244,7 +250,7 @@ def test_the_newest_place_wins(placed, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(node(placed, "/lab/lidar").position, (0.0, 0.0, 7.0))
 
 
-def test_a_drive_without_a_world_says_so_in_a_line(session) -> None:
+def test_a_drive_without_a_world_says_so_in_a_line(session: Session) -> None:
     session.update(sensor="vlp-16")
     session.wait_drawn()
     text = panel(session, SensorLabPanel).text
@@ -252,7 +258,7 @@ def test_a_drive_without_a_world_says_so_in_a_line(session) -> None:
     assert "\n" not in text.content and node(session, "/lab/lidar/points") is None
 
 
-def test_a_placement_of_a_link_is_five_numbers_within_reach(model) -> None:
+def test_a_placement_of_a_link_is_five_numbers_within_reach(model: ReviewModel) -> None:
     state, _, complaints = read_link("sensor=vlp-16&carrier=pole&placement=1,2,5,90,-10", model, ReviewState())
     assert (state.sensor, state.carrier, state.placement) == ("vlp-16", "pole", (1.0, 2.0, 5.0, 90.0, -10.0))
     assert not complaints

@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 
 from dsrc.review.model import ReviewModel
+from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.controls import CONTROLS
 from dsrc.review.page.link import read_link, write_link
+from dsrc.review.page.session import Session
 from dsrc.review.sources.base import MemorySet
 from dsrc.review.state import ReviewState
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
+from tests.dsrc.review.page.conftest import SocketBrowser
 
 FULL = ReviewState(
     drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper", who="ego",
@@ -23,7 +27,7 @@ FULL = ReviewState(
 
 
 @pytest.fixture
-def two(drive, detector):
+def two(drive: FakeDrive, detector: FakeDetector) -> ReviewModel:
     other = type(drive)()
     other.drive = other.drive.with_name("other street")
     return ReviewModel([drive, other], detector)
@@ -34,7 +38,7 @@ def test_every_field_of_the_state_is_part_of_the_link() -> None:
 
 
 @pytest.mark.parametrize("state", [ReviewState(), FULL, replace(FULL, object_id=None, detection=4, drive=0)])
-def test_a_link_restores_the_state_and_the_camera(two, state) -> None:
+def test_a_link_restores_the_state_and_the_camera(two: ReviewModel, state: ReviewState) -> None:
     pose = CameraPose(np.array([-34.25, 0.5, 21.0]), np.array([14.0, 0.0, 0.0]), UP)
     link = write_link(two, state, pose)
     read, camera, complaints = read_link(link, two, ReviewState())
@@ -43,7 +47,7 @@ def test_a_link_restores_the_state_and_the_camera(two, state) -> None:
     np.testing.assert_allclose(camera.look_at, pose.look_at)
 
 
-def test_methods_with_any_names_come_back_in_their_order(two) -> None:
+def test_methods_with_any_names_come_back_in_their_order(two: ReviewModel) -> None:
     for name in ("DSRC, ego alone", "50 % & more = #1"):
         two.sources[0].sets[name] = MemorySet(name)
     state = ReviewState(methods=("50 % & more = #1", "DSRC, ego alone", "detector"))
@@ -52,7 +56,7 @@ def test_methods_with_any_names_come_back_in_their_order(two) -> None:
     assert read == ReviewState() and "methods: expected detector, DSRC, ego alone" in complaints[0]
 
 
-def test_a_list_of_what_is_broken_comes_back_with_the_run_that_tells_it(two) -> None:
+def test_a_list_of_what_is_broken_comes_back_with_the_run_that_tells_it(two: ReviewModel) -> None:
     two.sources[0].sets["weak"] = MemorySet("weak")
     for state in (
         ReviewState(listed="broken", versus="method weak"),
@@ -63,7 +67,7 @@ def test_a_list_of_what_is_broken_comes_back_with_the_run_that_tells_it(two) -> 
     assert read_link("corruption=fog&against=clean", two, ReviewState())[0] == ReviewState(corruption="fog")
 
 
-def test_agents_of_a_corruption_are_words_or_ids(two) -> None:
+def test_agents_of_a_corruption_are_words_or_ids(two: ReviewModel) -> None:
     for who in ("helpers", "1002,-1"):
         state = ReviewState(corruption="fog", who=who)
         assert read_link(write_link(two, state, None), two, ReviewState()) == (state, None, [])
@@ -71,16 +75,16 @@ def test_agents_of_a_corruption_are_words_or_ids(two) -> None:
     assert read == ReviewState() and "who: expected all, ego, helpers or ids of agents" in complaints[0]
 
 
-def test_no_number_of_a_camera_is_a_negative_zero(two) -> None:
+def test_no_number_of_a_camera_is_a_negative_zero(two: ReviewModel) -> None:
     pose = CameraPose(np.array([-34.0, -0.001, 21.0]), np.zeros(3), UP)
     assert write_link(two, ReviewState(), pose) == "view=-34.00,0.00,21.00,0.00,0.00,0.00"
 
 
-def test_the_link_of_the_start_is_empty(two) -> None:
+def test_the_link_of_the_start_is_empty(two: ReviewModel) -> None:
     assert write_link(two, ReviewState(), None) == ""
 
 
-def test_drives_are_named_where_their_name_can_stand_in_an_address(two) -> None:
+def test_drives_are_named_where_their_name_can_stand_in_an_address(two: ReviewModel) -> None:
     assert write_link(two, ReviewState(drive=1), None) == "drive=1"
     two.names[1] = "town_5.a"
     assert write_link(two, ReviewState(drive=1), None) == "drive=town_5.a"
@@ -111,18 +115,20 @@ def test_drives_are_named_where_their_name_can_stand_in_an_address(two) -> None:
         ("detection=-1", "detection: expected a whole number, at least 0, found -1"),
     ],
 )
-def test_a_wrong_part_is_told_and_the_rest_is_taken(two, query: str, complaint: str) -> None:
+def test_a_wrong_part_is_told_and_the_rest_is_taken(two: ReviewModel, query: str, complaint: str) -> None:
     state, pose, complaints = read_link(f"{query}&iou=0.7&unknown=1", two, ReviewState())
     assert state == ReviewState(iou=0.7) and pose is None
     assert len(complaints) == 1 and complaint in complaints[0]
 
 
-def test_another_drive_is_shown_from_its_first_frame_unless_the_link_names_one(two) -> None:
+def test_another_drive_is_shown_from_its_first_frame_unless_the_link_names_one(two: ReviewModel) -> None:
     start = ReviewState(frame=7)
     assert [read_link(link, two, start)[0].frame for link in ("", "drive=1", "drive=1&frame=3")] == [7, 0, 3]
 
 
-def test_a_browser_that_connects_with_a_link_sees_its_frame(app, connect_browser) -> None:
+def test_a_browser_that_connects_with_a_link_sees_its_frame(
+    app: ReviewApp, connect_browser: type[SocketBrowser]
+) -> None:
     session = connect_browser(app, "frame=7&camera=chase&view=-20,5,10,0,0,1&score=9&object=1003").session
     assert session.wait_drawn().index == 7
     assert session.view.details.object_id == 1003
@@ -130,7 +136,7 @@ def test_a_browser_that_connects_with_a_link_sees_its_frame(app, connect_browser
     assert "score" in session._notice.content and session._notice.visible
 
 
-def test_the_link_that_the_address_bar_shows_is_that_of_what_is_drawn(session) -> None:
+def test_the_link_that_the_address_bar_shows_is_that_of_what_is_drawn(session: Session) -> None:
     session.update(frame=7, iou=0.7)
     session.wait_drawn()
     end = time.monotonic() + 5.0

@@ -1,6 +1,7 @@
 """A page on frames that are still being made."""
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from dsrc.cli.drive import Drive
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.truth import TruthPerception
-from dsrc.review.page.app import live_page
+from dsrc.review.page.app import LivePage, live_page
 from dsrc.review.page.commands import COMMANDS
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.sources.episodes import EpisodeSource
@@ -17,16 +18,19 @@ from sim.errors import SettingsError
 from tests.dsrc.closed_loop.logged import EGO_ID
 from tests.dsrc.closed_loop.test_log import full_log
 from tests.dsrc.review.conftest import street_frame
+from tests.dsrc.review.page.conftest import SocketBrowser
 from tests.dsrc.review.page.test_session import handle, wait_for
 
 
 @pytest.fixture
-def page():
+def page() -> Iterator[LivePage]:
     with live_page(LiveSource("street")) as page:
         yield page
 
 
-def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(page, connect_browser) -> None:
+def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(
+    page: LivePage, connect_browser: type[SocketBrowser]
+) -> None:
     session = connect_browser(page.app).session
     wait_for(lambda: "first frame to come" in session._notice.content)
     page.source.put(street_frame(0))
@@ -34,7 +38,7 @@ def test_a_page_opened_before_the_first_frame_shows_it_when_it_comes(page, conne
     wait_for(lambda: not session._notice.visible)
 
 
-def test_play_before_the_first_frame_waits_for_it(page, connect_browser) -> None:
+def test_play_before_the_first_frame_waits_for_it(page: LivePage, connect_browser: type[SocketBrowser]) -> None:
     session = connect_browser(page.app).session
     wait_for(lambda: "first frame to come" in session._notice.content)
     session.toggle_play()
@@ -44,7 +48,7 @@ def test_play_before_the_first_frame_waits_for_it(page, connect_browser) -> None
     wait_for(lambda: session.view is not None and session.view.index == 0)
 
 
-def test_first_and_last_are_the_ends_of_what_is_kept(connect_browser) -> None:
+def test_first_and_last_are_the_ends_of_what_is_kept(connect_browser: type[SocketBrowser]) -> None:
     run = {command.label: command.run for command in COMMANDS}
     with live_page(LiveSource("street", kept=3)) as page:
         for index in range(6):
@@ -62,7 +66,9 @@ def test_first_and_last_are_the_ends_of_what_is_kept(connect_browser) -> None:
         assert session.state.frame == 3
 
 
-def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, connect_browser) -> None:
+def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(
+    page: LivePage, connect_browser: type[SocketBrowser]
+) -> None:
     page.source.put(street_frame(0))
     session = connect_browser(page.app).session
     for index in range(1, 5):
@@ -79,7 +85,9 @@ def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(page, conne
     wait_for(lambda: session.view.index == 6)
 
 
-def test_a_browser_that_comes_later_follows_the_newest_frame_unless_its_link_names_one(page, connect_browser) -> None:
+def test_a_browser_that_comes_later_follows_the_newest_frame_unless_its_link_names_one(
+    page: LivePage, connect_browser: type[SocketBrowser]
+) -> None:
     for index in range(6):
         page.source.put(street_frame(index))
     late, stays = (connect_browser(page.app, link).session for link in ("", "frame=2"))
@@ -90,7 +98,7 @@ def test_a_browser_that_comes_later_follows_the_newest_frame_unless_its_link_nam
 
 
 @pytest.mark.parametrize("link", ["", "frame=0"])
-def test_a_browser_starts_at_no_frame_that_is_no_longer_kept(connect_browser, link: str) -> None:
+def test_a_browser_starts_at_no_frame_that_is_no_longer_kept(connect_browser: type[SocketBrowser], link: str) -> None:
     with live_page(LiveSource("street", kept=2)) as page:
         for index in range(6):
             page.source.put(street_frame(index))
@@ -98,7 +106,9 @@ def test_a_browser_starts_at_no_frame_that_is_no_longer_kept(connect_browser, li
         assert connect_browser(page.app, link).session.wait_drawn().index == 4
 
 
-def test_a_selected_detection_is_left_with_its_frame_and_a_selected_object_is_not(page, connect_browser) -> None:
+def test_a_selected_detection_is_left_with_its_frame_and_a_selected_object_is_not(
+    page: LivePage, connect_browser: type[SocketBrowser]
+) -> None:
     page.source.put(street_frame(0))
     session = connect_browser(page.app).session
     session.wait_drawn()
@@ -113,7 +123,7 @@ def test_a_selected_detection_is_left_with_its_frame_and_a_selected_object_is_no
     assert session.state.object_id == 1003
 
 
-def test_whoever_makes_frames_never_waits_for_the_page(page, connect_browser) -> None:
+def test_whoever_makes_frames_never_waits_for_the_page(page: LivePage, connect_browser: type[SocketBrowser]) -> None:
     connect_browser(page.app)
     frame = street_frame(0)
     started = time.perf_counter()
@@ -133,7 +143,7 @@ def test_generate_hands_every_frame_to_who_watches(tmp_path: Path) -> None:
     assert again == [], "what is on disk is not made again"
 
 
-def test_an_episode_that_is_driven_is_followed_with_its_plan(connect_browser) -> None:
+def test_an_episode_that_is_driven_is_followed_with_its_plan(connect_browser: type[SocketBrowser]) -> None:
     log = full_log()
     source = EpisodeSource("episode")
     with live_page(source) as page:

@@ -5,37 +5,46 @@ import socket
 import time
 import urllib.error
 import urllib.request
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.ops.detections import Detections
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp, serve
 from dsrc.review.page.scene import SceneWriter, place_static
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
 from dsrc.review.view import UNJUDGED
+from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
+from tests.dsrc.review.page.conftest import SocketBrowser
 
 
 @pytest.fixture
-def server():
+def server() -> Iterator[viser.ViserServer]:
     server = start_server()
     yield server
     stop_server(server)
 
 
-def node(server, name):
+def node(server: viser.ViserServer, name: str) -> Any:
     return server.scene.get_handle_by_name(name)
 
 
-def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, model) -> None:
+def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(
+    server: viser.ViserServer, model: ReviewModel
+) -> None:
     view = model.view(ReviewState())
     SceneWriter(server.scene).write(view)
     cloud = node(server, "/agents/ego_vehicle_1000/lidar/points")
@@ -48,7 +57,7 @@ def test_a_frame_becomes_named_nodes_with_points_in_the_sensor_frame(server, mod
     assert len(node(server, "/bodies/car").batched_positions) == len(view.truth)
 
 
-def test_the_points_of_the_next_frame_replace_those_of_the_last(server, model) -> None:
+def test_the_points_of_the_next_frame_replace_those_of_the_last(server: viser.ViserServer, model: ReviewModel) -> None:
     writer = SceneWriter(server.scene)
     for row in (0, 1):
         view = model.view(ReviewState(frame=row))
@@ -61,7 +70,7 @@ def test_the_points_of_the_next_frame_replace_those_of_the_last(server, model) -
     np.testing.assert_array_equal(sent["colors"], view.agents[0].colors, strict=True)
 
 
-def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model) -> None:
+def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server: viser.ViserServer, model: ReviewModel) -> None:
     writer = SceneWriter(server.scene)
     for threshold, shown in ((0.0, True), (1.0, False), (0.0, True)):
         writer.write(model.view(ReviewState(threshold=threshold)))
@@ -69,7 +78,7 @@ def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server, model) -> None
         assert node(server, "/detections/fp/faces").visible is shown
 
 
-def test_layers_can_be_switched_off(server, model) -> None:
+def test_layers_can_be_switched_off(server: viser.ViserServer, model: ReviewModel) -> None:
     writer = SceneWriter(server.scene)
     writer.write(model.view(ReviewState(layers_off=frozenset(SHOWN_LAYERS))))
     place_static(server.scene, "", [])
@@ -78,7 +87,9 @@ def test_layers_can_be_switched_off(server, model) -> None:
     assert node(server, "/agents/vehicle_1002/lidar/points").visible
 
 
-def test_clearing_leaves_nothing_of_a_drive(server, model, recwarn: pytest.WarningsRecorder) -> None:
+def test_clearing_leaves_nothing_of_a_drive(
+    server: viser.ViserServer, model: ReviewModel, recwarn: pytest.WarningsRecorder
+) -> None:
     writer = SceneWriter(server.scene)
     writer.write(model.view(ReviewState()))
     writer.clear()
@@ -88,7 +99,7 @@ def test_clearing_leaves_nothing_of_a_drive(server, model, recwarn: pytest.Warni
     assert not recwarn.list
 
 
-def test_an_agent_that_leaves_takes_its_points_with_it(server, model) -> None:
+def test_an_agent_that_leaves_takes_its_points_with_it(server: viser.ViserServer, model: ReviewModel) -> None:
     writer = SceneWriter(server.scene)
     view = model.view(ReviewState())
     writer.write(view)
@@ -97,11 +108,13 @@ def test_an_agent_that_leaves_takes_its_points_with_it(server, model) -> None:
     assert node(server, "/agents/vehicle_1002/lidar/points") is not None
 
 
-def test_without_labels_nothing_is_judged(drive, detector, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_labels_nothing_is_judged(
+    drive: FakeDrive, detector: FakeDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
     read = type(drive).read
     empty = Boxes.zeros()
 
-    def unlabelled(self, i):
+    def unlabelled(self: FakeDrive, i: int) -> Frame:
         frame = read(self, i)
         none = np.zeros((0, 2))
         return replace(frame, truth=empty, velocity=none, acceleration=none, signals=np.zeros(0, np.int32), lane=(),
@@ -116,14 +129,14 @@ def test_without_labels_nothing_is_judged(drive, detector, monkeypatch: pytest.M
     assert not view.labelled
 
 
-def ghosts():
+def ghosts() -> Detections:
     from dsrc.ops.detections import Detections
 
     boxes = Boxes.from_array([[10.0, -25.0, -1.0, 4.0, 2.0, 1.5, 0.3], [20.0, 0.0, -1.0, 4.0, 2.0, 1.5, 0.0]])
     return Detections(boxes, np.array([0.9, 0.5], np.float32))
 
 
-def test_the_page_listens_on_the_loopback_only_and_answers(app) -> None:
+def test_the_page_listens_on_the_loopback_only_and_answers(app: ReviewApp) -> None:
     assert app.url.startswith("http://127.0.0.1:")
     with urllib.request.urlopen(app.url, timeout=10) as answer:
         assert answer.status == 200
@@ -133,14 +146,14 @@ def test_the_page_listens_on_the_loopback_only_and_answers(app) -> None:
 @pytest.mark.parametrize(
     "headers", [{"Origin": "http://evil.example"}, {"Origin": "http://127.0.0.1:1"}, {"Origin": "null"}]
 )
-def test_a_page_of_another_origin_gets_neither_the_scene_nor_the_page(app, headers: dict[str, str]) -> None:
+def test_a_page_of_another_origin_gets_neither_the_scene_nor_the_page(app: ReviewApp, headers: dict[str, str]) -> None:
     with pytest.raises(InvalidStatus, match="403"):
         connect(app.url.replace("http", "ws"), additional_headers=headers)
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(urllib.request.Request(app.url, headers=headers), timeout=10)
 
 
-def test_a_foreign_name_that_leads_to_the_loopback_gets_nothing(app) -> None:
+def test_a_foreign_name_that_leads_to_the_loopback_gets_nothing(app: ReviewApp) -> None:
     port = app.url.rsplit(":", 1)[1]
     named = {"Host": f"evil.example:{port}", "Origin": f"http://evil.example:{port}"}
     with pytest.raises(urllib.error.HTTPError, match="403"):
@@ -151,7 +164,7 @@ def test_a_foreign_name_that_leads_to_the_loopback_gets_nothing(app) -> None:
         assert answer.status == 200
 
 
-def test_serve_opens_a_folder_of_drives(tmp_path: Path, frame, connect_browser) -> None:
+def test_serve_opens_a_folder_of_drives(tmp_path: Path, frame: Frame, connect_browser: type[SocketBrowser]) -> None:
     for index in (0, 1):
         write_frame(tmp_path / "drive", replace(frame, index=index))
     announced = []
@@ -164,7 +177,7 @@ def test_serve_opens_a_folder_of_drives(tmp_path: Path, frame, connect_browser) 
         app.close()
 
 
-def test_bad_input_fails_before_a_server_starts(tmp_path: Path, frame, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_input_fails_before_a_server_starts(tmp_path: Path, frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.review.page.app.start_server", lambda *_: pytest.fail("a server was started"))
     with pytest.raises(SettingsError, match="unknown corruption 'clen'; did you mean 'clean'"):
         serve(tmp_path, corruption="clen", block=False)
@@ -179,7 +192,9 @@ def test_bad_input_fails_before_a_server_starts(tmp_path: Path, frame, monkeypat
         serve(tmp_path, block=False)
 
 
-def test_a_drive_that_cannot_be_read_does_not_block_the_others(tmp_path: Path, frame, connect_browser) -> None:
+def test_a_drive_that_cannot_be_read_does_not_block_the_others(
+    tmp_path: Path, frame: Frame, connect_browser: type[SocketBrowser]
+) -> None:
     for name in ("a", "b"):
         write_frame(tmp_path / name, frame)
     for pcd in (tmp_path / "a").rglob("*.pcd"):
@@ -204,14 +219,18 @@ def test_a_busy_port_is_one_line(tmp_path: Path) -> None:
         serve(tmp_path, host="256.1.1.1", block=False)
 
 
-def test_the_light_is_drawn_once_for_all(app, browser, connect_browser) -> None:
+def test_the_light_is_drawn_once_for_all(
+    app: ReviewApp, browser: SocketBrowser, connect_browser: type[SocketBrowser]
+) -> None:
     connect_browser(app)
     assert node(app.server, "/light/ambient") is not None
     assert node(app.server, "/drive0/world/grid") is not None
     assert isinstance(app, ReviewApp) and len(app.sessions) == 2
 
 
-def test_a_connection_that_a_browser_opens_ahead_and_drops_is_not_told(app, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_connection_that_a_browser_opens_ahead_and_drops_is_not_told(
+    app: ReviewApp, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.ERROR, logger="websockets.server")
     with socket.create_connection(("127.0.0.1", int(app.url.rsplit(":", 1)[1]))):
         pass

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,18 +17,23 @@ from dsrc.review.page.panels.selection import SelectionPanel
 from dsrc.review.page.panels.timeline import TimelinePanel
 from dsrc.review.page.scene import Clicked
 from dsrc.review.page.server import start_server
+from dsrc.review.page.session import Session
 from dsrc.review.state import ReviewState
+from dsrc.review.view import FrameView
+from sensors.frame import Frame
 from sim.errors import DataError
 from sim.geometry import pose_angles
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
+from tests.dsrc.review.page.conftest import SocketBrowser
 from tests.dsrc.review.page.session import node, panel, wait_for
 
 
-def handle(session, field, label=None):
+def handle(session: Session, field: str, label: str | None = None) -> Any:
     bound = [control for panel in session.panels for control in getattr(panel, "controls", ())]
     return next(b.handle for b in bound if b.control.field == field and label in (None, b.control.label))
 
 
-def test_a_slider_moves_the_page(session) -> None:
+def test_a_slider_moves_the_page(session: Session) -> None:
     handle(session, "frame").value = 5
     wait_for(lambda: session.state.frame == 5)
     assert session.wait_drawn().index == 5
@@ -49,7 +55,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("field", CHANGES)
-def test_every_control_follows_the_state(session, fake_fog, field) -> None:
+def test_every_control_follows_the_state(session: Session, fake_fog: list[tuple[int, str, int]], field: str) -> None:
     session.update(**{field: CHANGES[field]})
     session.wait_drawn()
     bound = [control for panel in session.panels for control in getattr(panel, "controls", ())]
@@ -65,7 +71,7 @@ def test_every_field_with_a_control_is_tried_above() -> None:
     assert {control.field for control in CONTROLS if control.widget} - elsewhere == set(CHANGES)
 
 
-def test_a_control_sets_the_state(session, fake_fog) -> None:
+def test_a_control_sets_the_state(session: Session, fake_fog: list[tuple[int, str, int]]) -> None:
     handle(session, "corruption").value = "fog"
     wait_for(lambda: session.state.corruption == "fog")
     session.wait_drawn()
@@ -77,14 +83,14 @@ def test_a_control_sets_the_state(session, fake_fog) -> None:
     assert not node(session, "/bodies").visible
 
 
-def test_an_agents_switch_hides_its_points(session) -> None:
+def test_an_agents_switch_hides_its_points(session: Session) -> None:
     panel(session, AgentsPanel).switches[1002].handle.value = False
     wait_for(lambda: session.state.hidden == {1002})
     session.wait_drawn()
     assert not node(session, "/agents/vehicle_1002/lidar/points").visible
 
 
-def test_another_ego_is_selected_by_name(session, detector) -> None:
+def test_another_ego_is_selected_by_name(session: Session, detector: FakeDetector) -> None:
     assert handle(session, "ego_id").value == "vehicle 1000"
     handle(session, "ego_id").value = "vehicle 1002"
     wait_for(lambda: session.state.ego_id == 1002)
@@ -94,19 +100,19 @@ def test_another_ego_is_selected_by_name(session, detector) -> None:
     assert node(session, "/agents/ego_vehicle_1002/lidar/points").visible
 
 
-def test_the_report_counts_what_is_drawn(session) -> None:
+def test_the_report_counts_what_is_drawn(session: Session) -> None:
     counts = session.view.counts
     assert f"| this frame | {counts.tp} | {counts.fp} | {counts.fn} |" in panel(session, ReportPanel).text.content
 
 
-def test_steps_stop_at_the_ends(session) -> None:
+def test_steps_stop_at_the_ends(session: Session) -> None:
     session.step(-1)
     assert session.state.frame == 0
     session.step(100)
     assert session.state.frame == 11
 
 
-def test_playing_goes_around_until_it_is_paused(session) -> None:
+def test_playing_goes_around_until_it_is_paused(session: Session) -> None:
     session.update(frame=9, speed=4.0)
     session.toggle_play()
     wait_for(lambda: session.view.index in (0, 1, 2))
@@ -118,7 +124,9 @@ def test_playing_goes_around_until_it_is_paused(session) -> None:
     wait_for(lambda: panel(session, TimelinePanel).play.label == "Play")
 
 
-def test_the_frames_that_come_next_are_read_ahead(session, drive, fake_fog) -> None:
+def test_the_frames_that_come_next_are_read_ahead(
+    session: Session, drive: FakeDrive, fake_fog: list[tuple[int, str, int]]
+) -> None:
     wait_for(lambda: 1 in drive.reads)
     session.update(frame=6, corruption="fog", speed=0.25)
     session.wait_drawn()
@@ -129,7 +137,7 @@ def test_the_frames_that_come_next_are_read_ahead(session, drive, fake_fog) -> N
     session.toggle_play()
 
 
-def test_nothing_plays_without_a_browser(app, browser) -> None:
+def test_nothing_plays_without_a_browser(app: ReviewApp, browser: SocketBrowser) -> None:
     session = browser.session
     session.toggle_play()
     browser.close()
@@ -139,11 +147,11 @@ def test_nothing_plays_without_a_browser(app, browser) -> None:
     assert session.state.frame == stopped and not session._thread.is_alive()
 
 
-def test_the_latest_state_wins(session, model, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_latest_state_wins(session: Session, model: ReviewModel, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn, gate = [], threading.Event()
     view = model.view
 
-    def slow_view(state):
+    def slow_view(state: ReviewState) -> FrameView:
         drawn.append(state.frame)
         gate.wait(5.0)
         return view(state)
@@ -160,11 +168,11 @@ def test_the_latest_state_wins(session, model, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize("error", [DataError("street/1000/000004.pcd: cut short"), KeyError("yaw")])
 def test_what_cannot_be_drawn_is_told_and_the_next_frame_is_drawn(
-    session, drive, monkeypatch: pytest.MonkeyPatch, error
+    session: Session, drive: FakeDrive, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     read = type(drive).read
 
-    def broken(self, i):
+    def broken(self: FakeDrive, i: int) -> Frame:
         if i == 4:
             raise error
         return read(self, i)
@@ -178,7 +186,7 @@ def test_what_cannot_be_drawn_is_told_and_the_next_frame_is_drawn(
 
 
 def test_the_first_frame_is_drawn_before_its_detections_are_computed(
-    app, detector, monkeypatch: pytest.MonkeyPatch, connect_browser
+    app: ReviewApp, detector: FakeDetector, monkeypatch: pytest.MonkeyPatch, connect_browser: type[SocketBrowser]
 ) -> None:
     detect, gate = detector.detect, threading.Event()
     monkeypatch.setattr(detector, "detect", lambda sample: gate.wait(10.0) and detect(sample))
@@ -194,11 +202,11 @@ def test_the_first_frame_is_drawn_before_its_detections_are_computed(
 
 
 def test_a_broken_first_frame_blocks_nothing_else(
-    model, drive, monkeypatch: pytest.MonkeyPatch, connect_browser
+    model: ReviewModel, drive: FakeDrive, monkeypatch: pytest.MonkeyPatch, connect_browser: type[SocketBrowser]
 ) -> None:
     read = type(drive).read
 
-    def broken(self, i):
+    def broken(self: FakeDrive, i: int) -> Frame:
         if i == 0:
             raise DataError("street/1000/000000.pcd: cut short")
         return read(self, i)
@@ -214,7 +222,9 @@ def test_a_broken_first_frame_blocks_nothing_else(
         app.close()
 
 
-def test_another_drive_starts_at_its_first_frame(detector, drive, connect_browser) -> None:
+def test_another_drive_starts_at_its_first_frame(
+    detector: FakeDetector, drive: FakeDrive, connect_browser: type[SocketBrowser]
+) -> None:
     other = type(drive)(frames=(3, 4))
     app = ReviewApp(ReviewModel([drive, other], detector), start_server(), ReviewState(frame=7))
     try:
@@ -229,7 +239,9 @@ def test_another_drive_starts_at_its_first_frame(detector, drive, connect_browse
         app.close()
 
 
-def test_two_browsers_do_not_move_each_other(app, browser, connect_browser) -> None:
+def test_two_browsers_do_not_move_each_other(
+    app: ReviewApp, browser: SocketBrowser, connect_browser: type[SocketBrowser]
+) -> None:
     first, second = browser.session, connect_browser(app).session
     second.wait_drawn()
     place = np.array(first.client.camera.position)
@@ -240,7 +252,7 @@ def test_two_browsers_do_not_move_each_other(app, browser, connect_browser) -> N
     assert not np.allclose(second.client.camera.position, place)
 
 
-def ego_in_scene(session):
+def ego_in_scene(session: Session) -> tuple[np.ndarray, np.ndarray]:
     root = session.stage.roots[0]
     place = session.view.ego.review_from_body
     from viser.transforms import SO3
@@ -249,7 +261,7 @@ def ego_in_scene(session):
     return turn @ place[:3, 3] + np.array(root.position), turn @ place[:3, :3]
 
 
-def test_a_chasing_camera_stays_behind_the_ego(session) -> None:
+def test_a_chasing_camera_stays_behind_the_ego(session: Session) -> None:
     session.place_camera("chase")
     session.wait_drawn()
     for frame in (0, 3, 11):
@@ -261,7 +273,7 @@ def test_a_chasing_camera_stays_behind_the_ego(session) -> None:
     np.testing.assert_allclose(session.client.camera.position, [-34.0, 0.0, 21.0], atol=1e-6)
 
 
-def test_a_late_pose_of_the_browser_keeps_its_offset_from_the_ego(browser) -> None:
+def test_a_late_pose_of_the_browser_keeps_its_offset_from_the_ego(browser: SocketBrowser) -> None:
     session = browser.session
     session.place_camera("chase")
     session.wait_drawn()
@@ -273,7 +285,7 @@ def test_a_late_pose_of_the_browser_keeps_its_offset_from_the_ego(browser) -> No
     np.testing.assert_allclose(ego_in_scene(session)[0], 0.0, atol=1e-6)
 
 
-def test_a_camera_set_free_keeps_its_picture(session) -> None:
+def test_a_camera_set_free_keeps_its_picture(session: Session) -> None:
     session.update(frame=6)
     session.wait_drawn()
     session.place_camera("chase")
@@ -285,7 +297,7 @@ def test_a_camera_set_free_keeps_its_picture(session) -> None:
     np.testing.assert_allclose(session.stage.roots[0].position, 0.0, atol=1e-9)
 
 
-def test_the_camera_flies_to_the_selected_box(session) -> None:
+def test_the_camera_flies_to_the_selected_box(session: Session) -> None:
     session._select(Clicked(object_id=1003))
     session.wait_drawn()
     {command.label: command for command in COMMANDS}["Camera: to the selected box"].run(session)
@@ -301,7 +313,7 @@ def test_keys_are_unique_and_leave_the_cameras_keys_alone() -> None:
     assert not {key for key, _ in keys} & set("WASDQE")
 
 
-def test_commands_change_the_page(session, fake_fog) -> None:
+def test_commands_change_the_page(session: Session, fake_fog: list[tuple[int, str, int]]) -> None:
     run = {command.label: command.run for command in COMMANDS}
     run["Last frame"](session)
     assert session.state.frame == 11
@@ -323,7 +335,7 @@ def test_commands_change_the_page(session, fake_fog) -> None:
     assert session.state.camera == "free"
 
 
-def test_an_object_is_selected_in_the_list_or_by_a_click(session) -> None:
+def test_an_object_is_selected_in_the_list_or_by_a_click(session: Session) -> None:
     card = panel(session, SelectionPanel).card
     handle(session, "object_id").value = "car 1003"
     wait_for(lambda: session.state.object_id == 1003)
@@ -341,7 +353,7 @@ def test_an_object_is_selected_in_the_list_or_by_a_click(session) -> None:
     assert session.wait_drawn().details is None
 
 
-def test_a_clicked_detection_opens_its_card(session) -> None:
+def test_a_clicked_detection_opens_its_card(session: Session) -> None:
     view = session.view
     ghost = int(view.ranks["detections/fp"][0])
     session._select(session.stage.writer._clickable["detections/fp/faces"][0])
@@ -353,7 +365,9 @@ def test_a_clicked_detection_opens_its_card(session) -> None:
     assert session.wait_drawn().details is None, "a place in another list of scores is another detection"
 
 
-def test_points_before_and_after_a_corruption_are_told_apart(session, fake_fog) -> None:
+def test_points_before_and_after_a_corruption_are_told_apart(
+    session: Session, fake_fog: list[tuple[int, str, int]]
+) -> None:
     session._select(Clicked(object_id=1003))
     session.update(corruption="fog")
     rows = session.wait_drawn().details.visibility

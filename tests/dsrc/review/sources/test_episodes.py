@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.types import Percept
+from dsrc.closed_loop.types import Percept, Tick
 from dsrc.review.errors.filters import FP
 from dsrc.review.errors.report import place_of, report
 from dsrc.review.model import ReviewModel
@@ -123,7 +123,7 @@ def test_sweeps_that_are_handed_over_are_shown_in_the_latest_frames(
     assert len(live) > 3 and points == [False] * (len(live) - 3) + [True] * 3
 
 
-def tilted(tick) -> Frame:
+def tilted(tick: Tick) -> Frame:
     """Empty sweep of an ego whose LiDAR stands before its middle, lower than most, and looks down."""
     body = pose_matrix(tick.ego.box.center[0] * [1.0, 1.0, 0.0], tick.ego.box.yaw[0])
     sweep = make_sweep(np.zeros((0, 3)), body @ pose_matrix([1.5, 0.0, 1.73], pitch=np.radians(10.0)), 0.0)

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from dsrc.evaluation.detection_table import one_frame
+from dsrc.evaluation.detection_table import DetectionTable, one_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.sources.base import MemorySet, Setup
 from dsrc.review.sources.live import LiveSource
@@ -15,7 +15,7 @@ from sim.errors import DataError
 from tests.dsrc.review.conftest import street_frame
 
 
-def table(row: int):
+def table(row: int) -> DetectionTable:
     return one_frame(row, row, 1000, Detections.zeros(), Boxes.zeros())
 
 

@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from dsrc.review.state import ReviewState
 from dsrc.review.texts import legend, selection_report
 from dsrc.review.view import FALSE_NEGATIVES, OTHER_TRUTH, TRUE_POSITIVES
 from sensors.corruptions import Condition
+from sim.boxes import Boxes
 from sim.errors import DataError
 from sim.geometry import invert
 from tests.dsrc.evaluation.small import write_detector, write_drives
@@ -32,7 +34,7 @@ def model() -> ReviewModel:
     return ReviewModel([SharedSource(FakeDrive(), shared_street())], FakeDetector())
 
 
-def ids_of(boxes) -> list[int]:
+def ids_of(boxes: Boxes) -> list[int]:
     return boxes.object_id.tolist()
 
 
@@ -74,7 +76,9 @@ def test_the_card_has_the_shares_of_what_is_selected(model: ReviewModel) -> None
     assert hit.verdict == "true positive" and sum(one.share for one in hit.shares) == pytest.approx(0.8)
 
 
-def test_frames_without_shares_say_where_there_are_some(model: ReviewModel, fake_fog) -> None:
+def test_frames_without_shares_say_where_there_are_some(
+    model: ReviewModel, fake_fog: list[tuple[int, str, int]]
+) -> None:
     assert (
         "No shares in this frame of this ego; the first with some is in row 0."
         in model.view(ReviewState(frame=1)).notice
@@ -124,7 +128,7 @@ def test_a_folder_of_shares_opens_as_its_drives(done: Path, tmp_path: Path) -> N
 def test_wrong_shares_are_one_line(done: Path, tmp_path: Path) -> None:
     content = json.loads((done / "out" / FILE).read_text())
 
-    def told(**changes) -> str:
+    def told(**changes: Any) -> str:
         (tmp_path / FILE).write_text(json.dumps({**content, **changes}))
         with pytest.raises(DataError) as caught:
             open_sources(tmp_path)

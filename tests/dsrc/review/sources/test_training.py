@@ -1,16 +1,19 @@
 """A training opens as its validation drives, with the newest weights that it has."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import pytest
 import torch
+from torch import Tensor
 
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import save_detector
+from dsrc.review.sources.drives import DriveSource
 from dsrc.review.sources.opening import open_sources
 from dsrc.review.sources.training import NEWEST
 from dsrc.training.recipes import RECIPES
@@ -22,7 +25,7 @@ DETECTOR = Detector(RECIPE.settings("student"))
 
 
 @pytest.fixture
-def run(tmp_path: Path):
+def run(tmp_path: Path) -> Path:
     """Run folder without weights, of a training whose validation drives are there."""
     for drive in ("north", "south", "not of this training"):
         write_frame(tmp_path / "drives" / drive, replace(street_frame(0), index=0))
@@ -32,7 +35,7 @@ def run(tmp_path: Path):
     return run
 
 
-def write_record(run, drives, validation=("south", "north")) -> None:
+def write_record(run: Path, drives: Path, validation: Sequence[str] = ("south", "north")) -> None:
     record = {
         "settings": {"recipe": msgspec.to_builtins(RECIPE), "stage": "student"},
         "validation": dict.fromkeys(validation, "0" * 64) if validation else None,
@@ -41,16 +44,16 @@ def write_record(run, drives, validation=("south", "north")) -> None:
     (run / "settings.json").write_bytes(msgspec.json.encode(record))
 
 
-def write_checkpoint(run) -> None:
+def write_checkpoint(run: Path) -> None:
     state = {f"detector.{name}": tensor for name, tensor in DETECTOR.state_dict().items()}
     torch.save({"state_dict": {**state, "other": torch.zeros(1)}}, run / "checkpoints" / "last.ckpt")
 
 
-def weights(source):
+def weights(source: DriveSource) -> Tensor:
     return source.sets[NEWEST].detector.state_dict()["encoder.linear.weight"]
 
 
-def test_a_running_training_shows_the_weights_of_its_last_checkpoint(run) -> None:
+def test_a_running_training_shows_the_weights_of_its_last_checkpoint(run: Path) -> None:
     write_checkpoint(run)
     for path in (run, run.parent):
         sources = open_sources(path)
@@ -58,14 +61,14 @@ def test_a_running_training_shows_the_weights_of_its_last_checkpoint(run) -> Non
         assert all(torch.equal(weights(source), DETECTOR.encoder.linear.weight) for source in sources)
 
 
-def test_the_best_validated_weights_and_then_the_result_come_first(run) -> None:
+def test_the_best_validated_weights_and_then_the_result_come_first(run: Path) -> None:
     write_checkpoint(run)
     save_detector(run / "checkpoints" / "best.pt", DETECTOR)
     (source, _) = open_sources(run)
     assert source.sets[NEWEST].detector.settings == DETECTOR.settings
 
 
-def test_a_training_of_a_version_before_opens(run) -> None:
+def test_a_training_of_a_version_before_opens(run: Path) -> None:
     """The communication range was a setting of the recipe, and none of the model's."""
     record = json.loads((run / "settings.json").read_text())
     recipe = record["settings"]["recipe"]
@@ -79,7 +82,7 @@ def test_a_training_of_a_version_before_opens(run) -> None:
         open_sources(run)
 
 
-def test_drives_that_were_moved_are_found_in_the_folder_that_is_given(run, tmp_path: Path) -> None:
+def test_drives_that_were_moved_are_found_in_the_folder_that_is_given(run: Path, tmp_path: Path) -> None:
     write_checkpoint(run)
     write_record(run, tmp_path / "nowhere")
     with pytest.raises(DataError, match=r"nowhere: drives: expected north, found none; give the folder .+ by --drives"):
@@ -87,7 +90,7 @@ def test_drives_that_were_moved_are_found_in_the_folder_that_is_given(run, tmp_p
     assert len(open_sources(run, tmp_path / "drives")) == 2
 
 
-def test_what_is_missing_or_damaged_is_one_line(run, tmp_path: Path) -> None:
+def test_what_is_missing_or_damaged_is_one_line(run: Path, tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match=r"last.ckpt: file: expected a first checkpoint, found none so far"):
         open_sources(run)
     torch.save({"state_dict": {"detector.encoder.linear.weight": torch.zeros(3)}}, run / "checkpoints" / "last.ckpt")

@@ -1,7 +1,9 @@
 """Fit of an error model: known errors are found again, empty corners are pooled and say so, the file is checked."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -212,7 +214,9 @@ def test_a_file_is_read_as_it_was_written(errors: Errors, tmp_path: Path) -> Non
         (lambda raw: raw.clear(), "field"),
     ],
 )
-def test_a_wrong_file_is_one_line(errors: Errors, tmp_path: Path, change, field: str) -> None:
+def test_a_wrong_file_is_one_line(
+    errors: Errors, tmp_path: Path, change: Callable[[dict[str, Any]], object], field: str
+) -> None:
     raw = msgspec.to_builtins(model_of(errors))
     raw = msgspec.json.decode(msgspec.json.encode(raw))
     change(raw)

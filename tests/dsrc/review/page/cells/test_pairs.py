@@ -3,35 +3,42 @@
 import time
 import urllib.request
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dsrc.review.model import ReviewModel
+from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cells.html import OPEN_KEY, compare_address
 from dsrc.review.page.cells.pairs import Pair, cells_of
 from dsrc.review.page.commands import COMMANDS
+from dsrc.review.page.session import Session
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import ReviewState
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.errors.test_report import Blind
+from tests.dsrc.review.page.conftest import SocketBrowser
 from tests.dsrc.review.page.test_session import wait_for
 
 RUN = {command.label: command.run for command in COMMANDS}
 
 
 @pytest.fixture
-def model(drive, detector) -> ReviewModel:
+def model(drive: FakeDrive, detector: FakeDetector) -> ReviewModel:
     model = ReviewModel([drive], detector)
     model.sources[0].sets["blind"] = ComputedSet("blind", Blind())
     return model
 
 
-def pose(browser):
+def pose(browser: SocketBrowser) -> np.ndarray:
     return np.array(browser.session.client.camera.position)
 
 
 @pytest.fixture
-def cells(app, connect_browser, fake_fog):
+def cells(
+    app: ReviewApp, connect_browser: type[SocketBrowser], fake_fog: list[tuple[int, str, int]]
+) -> tuple[SocketBrowser, SocketBrowser]:
     left, right = connect_browser(app, "pair=a"), connect_browser(app, "pair=a&corruption=fog")
     for cell in (left, right):
         cell.session.wait_drawn()
@@ -52,7 +59,7 @@ def test_what_is_compared_is_methods_then_sweeps(model: ReviewModel) -> None:
     assert [one.corruption for one in cells_of(model, state, "rain")] == ["clean", "rain"]
 
 
-def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells) -> None:
+def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
     left, right = (cell.session for cell in cells)
     left.update(frame=7, threshold=0.6, object_id=1003, methods=("blind",))
     wait_for(lambda: (right.state.frame, right.state.threshold, right.state.object_id) == (7, 0.6, 1003))
@@ -61,10 +68,10 @@ def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells) -> Non
     wait_for(lambda: left.state.frame == 5)
 
 
-def arrive(*cells) -> None:
+def arrive(*cells: SocketBrowser) -> None:
     """Report the poses that the browsers were given, until none is on its way."""
 
-    def reported():
+    def reported() -> bool:
         for cell in cells:
             given = cell.session.camera._given
             if given is not None:
@@ -75,7 +82,7 @@ def arrive(*cells) -> None:
     wait_for(reported)
 
 
-def test_a_camera_moves_the_other_and_no_echo_comes_back(cells) -> None:
+def test_a_camera_moves_the_other_and_no_echo_comes_back(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
     left, right = cells
     arrive(left, right)
     left.look_from((5.0, 6.0, 7.0), (1.0, 2.0, 0.0))
@@ -89,7 +96,7 @@ def test_a_camera_moves_the_other_and_no_echo_comes_back(cells) -> None:
     wait_for(lambda: np.allclose(pose(left), [0.0, 6.0, 9.0]))
 
 
-def test_where_a_browser_looked_before_it_was_placed_moves_no_other(cells) -> None:
+def test_where_a_browser_looked_before_it_was_placed_moves_no_other(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
     left, right = cells
     arrive(left, right)
     left.session.place_camera("chase")
@@ -102,7 +109,7 @@ def test_where_a_browser_looked_before_it_was_placed_moves_no_other(cells) -> No
     np.testing.assert_allclose(pose(right), placed)
 
 
-def test_playing_takes_the_other_along(cells) -> None:
+def test_playing_takes_the_other_along(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
     left, right = (cell.session for cell in cells)
     left.update(speed=4.0)
     left.toggle_play()
@@ -111,14 +118,16 @@ def test_playing_takes_the_other_along(cells) -> None:
     wait_for(lambda: right.state.frame == left.state.frame)
 
 
-def test_pages_of_their_own_and_other_pairs_stay(app, cells, connect_browser) -> None:
+def test_pages_of_their_own_and_other_pairs_stay(
+    app: ReviewApp, cells: tuple[SocketBrowser, SocketBrowser], connect_browser: type[SocketBrowser]
+) -> None:
     alone, other = connect_browser(app), connect_browser(app, "pair=b")
     cells[0].session.update(frame=4)
     wait_for(lambda: cells[1].session.state.frame == 4)
     assert (alone.session.state.frame, other.session.state.frame) == (0, 0)
 
 
-def test_a_cell_that_is_closed_leaves_its_pair(app, cells) -> None:
+def test_a_cell_that_is_closed_leaves_its_pair(app: ReviewApp, cells: tuple[SocketBrowser, SocketBrowser]) -> None:
     left, right = cells
     right.close()
     wait_for(lambda: len(app.sessions) == 1)
@@ -127,7 +136,9 @@ def test_a_cell_that_is_closed_leaves_its_pair(app, cells) -> None:
     assert left.session.wait_drawn().index == 2
 
 
-def test_a_key_opens_the_cells_and_another_press_leaves_them(session, cells, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_key_opens_the_cells_and_another_press_leaves_them(
+    session: Session, cells: tuple[SocketBrowser, SocketBrowser], monkeypatch: pytest.MonkeyPatch
+) -> None:
     opened = []
     for one in (session, cells[1].session):
         monkeypatch.setattr(one.client.local_storage, "set_item", lambda key, value: opened.append((key, value)))
@@ -140,12 +151,12 @@ def test_a_key_opens_the_cells_and_another_press_leaves_them(session, cells, mon
     assert "corruption" not in address.split("&right=")[0] and back.startswith("/?corruption=fog")
 
 
-def test_the_page_of_the_cells_is_served(app) -> None:
+def test_the_page_of_the_cells_is_served(app: ReviewApp) -> None:
     with urllib.request.urlopen(app.url + compare_address("frame=1", "frame=1&corruption=fog"), timeout=10) as answer:
         assert answer.status == 200 and b"side by side" in answer.read()
 
 
-def test_a_way_back_is_followed_too(cells) -> None:
+def test_a_way_back_is_followed_too(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
     left, right = (cell.session for cell in cells)
     for frame in (1, 0, 1):
         right.update(frame=frame)
@@ -159,7 +170,7 @@ def test_a_way_back_is_followed_too(cells) -> None:
         right.wait_drawn()
 
 
-def test_what_is_broken_in_one_cell_is_no_list_of_the_other(cells) -> None:
+def test_what_is_broken_in_one_cell_is_no_list_of_the_other(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
     left, right = (cell.session for cell in cells)
     right.update(listed="broken", error_class="truck")
     wait_for(lambda: left.state.error_class == "truck")
@@ -170,11 +181,11 @@ def test_what_is_broken_in_one_cell_is_no_list_of_the_other(cells) -> None:
 class DrawnAtOnce:
     """Cell that tells its pair of each state."""
 
-    def __init__(self, pair, **changes) -> None:
+    def __init__(self, pair: Pair, **changes: Any) -> None:
         self.state, self.pair, self.looks = ReviewState(**changes), pair, 0
         pair.add(self)
 
-    def update(self, **changes) -> None:
+    def update(self, **changes: Any) -> None:
         self.looks += 1
         state = replace(self.state, **changes)
         if state != self.state:
@@ -198,7 +209,7 @@ def test_a_state_that_was_given_and_is_drawn_late_is_no_users() -> None:
         def __init__(self) -> None:
             self.state = ReviewState()
 
-        def update(self, **changes) -> None:
+        def update(self, **changes: Any) -> None:
             self.state = replace(self.state, **changes)
 
     pair, ahead, late = Pair(), Late(), Late()
@@ -218,10 +229,10 @@ def test_a_state_that_was_given_and_is_drawn_late_is_no_users() -> None:
 
 def test_a_cell_takes_what_a_later_one_lacks() -> None:
     class Cell:
-        def __init__(self, **changes) -> None:
+        def __init__(self, **changes: Any) -> None:
             self.state = ReviewState(**changes)
 
-        def update(self, **changes) -> None:
+        def update(self, **changes: Any) -> None:
             self.state = replace(self.state, **changes)
 
     pair, first, late = Pair(), Cell(frame=9, corruption="fog"), Cell(corruption="rain")
@@ -233,7 +244,7 @@ def test_a_cell_takes_what_a_later_one_lacks() -> None:
     assert first.state.frame == 12, "an echo does not set it back"
 
 
-def test_all_methods_lie_over_each_other_at_a_key(session) -> None:
+def test_all_methods_lie_over_each_other_at_a_key(session: Session) -> None:
     RUN["Methods over each other"](session)
     assert session.state.methods == ("detector", "blind")
     RUN["Methods over each other"](session)

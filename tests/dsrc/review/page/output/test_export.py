@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.sample import Sample
 from dsrc.ops.detections import Detections
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
@@ -16,9 +17,10 @@ from dsrc.review.page.output.export import export_html, export_states
 from dsrc.review.page.output.screenshot import STOP, find_chromium, open_page, screenshot
 from dsrc.review.sources.shares import SharedSource
 from dsrc.review.state import ReviewState
+from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
-from tests.dsrc.review.conftest import FakeDetector
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.shared import shared_street
 
 
@@ -32,11 +34,11 @@ def recording(html: str) -> dict:
 
 
 @pytest.fixture
-def page(model, tmp_path: Path):
+def page(model: ReviewModel, tmp_path: Path) -> Path:
     return export_states(model, [ReviewState(frame=i, max_points=500) for i in range(4)], tmp_path / "a" / "page.html")
 
 
-def test_an_exported_page_plays_all_frames_with_named_nodes(page) -> None:
+def test_an_exported_page_plays_all_frames_with_named_nodes(page: Path) -> None:
     recorded = recording(page.read_text())
     assert recorded["durationSeconds"] == pytest.approx(0.4)
     names = {m[1].get("name") for m in recorded["messages"]}
@@ -46,7 +48,7 @@ def test_an_exported_page_plays_all_frames_with_named_nodes(page) -> None:
     assert len(times) == 4
 
 
-def test_an_exported_page_needs_nothing_else(page) -> None:
+def test_an_exported_page_needs_nothing_else(page: Path) -> None:
     html = page.read_text()
     # Whatever is loaded would stand in an element's src or href, or in a style's url().
     assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)=[\"']?(?:https?:)?//", html)
@@ -55,7 +57,7 @@ def test_an_exported_page_needs_nothing_else(page) -> None:
     assert 0.5e6 < page.stat().st_size < 4e6
 
 
-def test_the_legend_holds_the_counts_of_every_frame(page, model) -> None:
+def test_the_legend_holds_the_counts_of_every_frame(page: Path, model: ReviewModel) -> None:
     data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", page.read_text())[1])
     assert len(data["frames"]) == 4
     counts = model.view(ReviewState(frame=2)).counts
@@ -64,7 +66,7 @@ def test_the_legend_holds_the_counts_of_every_frame(page, model) -> None:
     assert len(data["cameras"]) == 3
 
 
-def without_labels(frame):
+def without_labels(frame: Frame) -> Frame:
     none = np.zeros(len(frame.truth), bool)
     return replace(
         frame, truth=frame.truth[none], velocity=frame.velocity[none], points_on=frame.points_on[:, none],
@@ -78,12 +80,12 @@ class Finds:
 
     settings = FakeDetector().settings
 
-    def detect(self, sample):
+    def detect(self, sample: Sample) -> Detections:
         return Detections(Boxes.from_array([[12.0, 2.0, -1.0, 4.0, 2.0, 1.5, 0.3]]), np.array([0.9], np.float32))
 
 
 def test_detections_without_labels_are_called_so_and_counted(
-    drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drive: FakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read = type(drive).read
     monkeypatch.setattr(type(drive), "read", lambda self, i: without_labels(read(self, i)))
@@ -93,7 +95,7 @@ def test_detections_without_labels_are_called_so_and_counted(
     assert not any(word in html for word in ("ground truth", "false positive", "IoU ≥"))
 
 
-def test_boxes_by_who_helped_are_explained_and_counted(drive, tmp_path: Path) -> None:
+def test_boxes_by_who_helped_are_explained_and_counted(drive: FakeDrive, tmp_path: Path) -> None:
     model = ReviewModel([SharedSource(drive, shared_street())], FakeDetector())
     html = export_states(model, [ReviewState()], tmp_path / "page.html").read_text()
     counts = json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])["frames"][0]
@@ -103,7 +105,7 @@ def test_boxes_by_who_helped_are_explained_and_counted(drive, tmp_path: Path) ->
     assert "false positive" in judged and "red cross" not in judged
 
 
-def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model, tmp_path: Path) -> None:
+def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model: ReviewModel, tmp_path: Path) -> None:
     words = {"fate": ("made by the corruption", "lost to the corruption"), "height": ("above the road", "8 m"),
              "intensity": ("¼ intensity",), "ring": ("top ring", "lowest"), "agent": ()}  # fmt: skip
     for color_by in words:
@@ -112,19 +114,19 @@ def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model
             assert all((text in html) is (other == color_by) for text in texts), color_by
 
 
-def test_a_drives_name_cannot_break_the_page(truth_model, tmp_path: Path) -> None:
+def test_a_drives_name_cannot_break_the_page(truth_model: ReviewModel, tmp_path: Path) -> None:
     truth_model.names[0] = "</script><script>alert(1)</script>"
     html = export_states(truth_model, [ReviewState()], tmp_path / "page.html").read_text()
     assert "alert(1)</script>" not in html
 
 
-def test_the_ego_stays_where_it_starts(page) -> None:
+def test_the_ego_stays_where_it_starts(page: Path) -> None:
     recorded = recording(page.read_text())
     moves = [m[1]["position"] for m in recorded["messages"] if m[1].get("name") == "/drive" and "position" in m[1]]
     assert np.asarray(moves[-1]) == pytest.approx([-6.0, 0.0, 0.0])
 
 
-def test_export_takes_a_folder_and_a_slice(tmp_path: Path, frame) -> None:
+def test_export_takes_a_folder_and_a_slice(tmp_path: Path, frame: Frame) -> None:
     for index in range(3):
         write_frame(tmp_path / "data" / "drive", replace(frame, index=index, time_s=0.1 * index))
     page = export_html(tmp_path / "data", tmp_path / "page.html", frames=slice(1, 3), max_points=300)
@@ -160,7 +162,7 @@ def near(image: np.ndarray, rgb: palette.Rgb) -> int:
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path: Path) -> None:
+def test_an_exported_page_shows_the_scene_and_its_legend(page: Path, tmp_path: Path) -> None:
     from matplotlib.image import imread
 
     picture = screenshot(page, tmp_path / "page.png", (640, 400), settle_s=3.0)
@@ -171,7 +173,7 @@ def test_an_exported_page_shows_the_scene_and_its_legend(page, tmp_path: Path) -
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_a_picture_shows_the_first_frame_and_no_other(page) -> None:
+def test_a_picture_shows_the_first_frame_and_no_other(page: Path) -> None:
     with open_page(f"{page.resolve().as_uri()}?fixedDpr=1", (640, 400)) as opened:
         opened.wait_for("document.querySelector('[role=slider]')", 60.0)
         opened.evaluate("new Promise(done=>setTimeout(done,500))")

@@ -1,21 +1,25 @@
 """Pictures and animations of a view."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import viser
 from PIL import Image
 
 from dsrc.review import palette
+from dsrc.review.model import ReviewModel
 from dsrc.review.page.output.export import export_pictures, write_animation, write_picture
 from dsrc.review.page.output.screenshot import find_chromium
 from dsrc.review.page.server import stop_server
 from dsrc.review.state import ReviewState
+from dsrc.review.view import FrameView
 from sim.errors import DataError, SettingsError
 from sim.files import check_output
 
 
-def squares(count):
+def squares(count: int) -> Iterator[np.ndarray]:
     """Pictures of a red square that moves to the right over blue."""
     for number in range(count):
         image = np.tile(np.array([0, 0, 200], np.uint8), (40, 60, 1))
@@ -55,19 +59,19 @@ def test_thin_lines_keep_their_colours_above_a_ground_of_many_greens(tmp_path: P
         assert np.abs(read[50 * (number + 1), 20:280] - colour).max() <= 24
 
 
-def test_a_wrong_link_is_told_before_a_browser_opens(model, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_link_is_told_before_a_browser_opens(model: ReviewModel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.review.page.output.export.open_page", lambda *_: pytest.fail("a browser was opened"))
     with pytest.raises(SettingsError, match="link: frame: expected 0 to 11"):
         list(export_pictures(model, "frame=99"))
 
 
 def test_a_picture_begins_from_what_it_is_given_and_the_link_comes_on_top(
-    model, monkeypatch: pytest.MonkeyPatch
+    model: ReviewModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Opened(Exception):
         """A page with a start would be opened."""
 
-    def app(_, server, state) -> None:
+    def app(_: ReviewModel, server: viser.ViserServer, state: ReviewState) -> None:
         stop_server(server)
         raise Opened(state)
 
@@ -79,7 +83,7 @@ def test_a_picture_begins_from_what_it_is_given_and_the_link_comes_on_top(
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_a_view_is_drawn_without_panels_at_any_size(model) -> None:
+def test_a_view_is_drawn_without_panels_at_any_size(model: ReviewModel) -> None:
     first, second = export_pictures(model, "camera=bev&score=0&off=labels,links", (500, 300), [0, 6])
     assert first.shape == second.shape == (300, 500, 3)
     for image in (first, second):
@@ -89,10 +93,10 @@ def test_a_view_is_drawn_without_panels_at_any_size(model) -> None:
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_a_frame_that_cannot_be_drawn_is_told_as_it_is(model, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_that_cannot_be_drawn_is_told_as_it_is(model: ReviewModel, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = model.view
 
-    def view(state):
+    def view(state: ReviewState) -> FrameView:
         if state.frame == 3:
             raise DataError("cells/0.npz: cell: expected a whole one, found a damaged one")
         return drawn(state)
