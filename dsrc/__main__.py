@@ -4,7 +4,9 @@ import errno
 import os
 import signal
 import sys
-from typing import TextIO
+import warnings
+from collections.abc import Callable
+from typing import Any, TextIO
 
 from dsrc.cli.interrupts import Interrupts
 
@@ -57,6 +59,7 @@ def _outcome(args: list[str] | None) -> tuple[object, str]:
     from dsrc.cli.main import run
     from sim.errors import UserError
 
+    shown, warnings.showwarning = warnings.showwarning, _plain(warnings.showwarning)
     try:
         try:
             run(args)
@@ -75,7 +78,23 @@ def _outcome(args: list[str] | None) -> tuple[object, str]:
         name = error.filename2 or error.filename or ("standard output" if lost else None)
         place = "" if name is None else f"{os.fsdecode(name) if isinstance(name, str | bytes) else name}: "
         return 2, f"dsrc: {place}{error.strerror}\n"
+    finally:
+        warnings.showwarning = shown
     return None, ""
+
+
+def _plain(show: Callable[..., None]) -> Callable[..., None]:
+    """Return a printer of warnings that tells a deprecated name in one line, the others as `show` does."""
+
+    def told(message: Warning, *place: Any, **further: Any) -> None:
+        from sim.errors import DeprecatedName
+
+        if isinstance(message, DeprecatedName):
+            sys.stderr.write(f"dsrc: {message}\n")
+        else:
+            show(message, *place, **further)
+
+    return told
 
 
 def _write(line: str, code: object) -> object:

@@ -97,6 +97,10 @@ class _Short(reprlib.Repr):
 _SHORT = _Short()
 
 
+class DeprecatedName(FutureWarning):
+    """A former name was used."""
+
+
 def warn_deprecated(old: str, new: str, goes: str = GOES, level: int = 3) -> None:
     """Warn that a name is deprecated.
 
@@ -105,4 +109,4 @@ def warn_deprecated(old: str, new: str, goes: str = GOES, level: int = 3) -> Non
         goes: date of the release without it.
         level: frames of the stack up to the user's line.
     """
-    warnings.warn(f"{old} is deprecated and goes on {goes}; use {new}", FutureWarning, stacklevel=level)
+    warnings.warn(f"{old} is deprecated and goes on {goes}; use {new}", DeprecatedName, stacklevel=level)

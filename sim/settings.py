@@ -2,13 +2,13 @@
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from sim.errors import UserError, complaint, did_you_mean, one_line
+from sim.errors import UserError, complaint, did_you_mean, one_line, warn_deprecated
 from sim.reading import parsing, read_text
 
 LARGEST_BYTES = 1 << 24
@@ -22,20 +22,19 @@ _ABSENT = re.compile(r"Object missing required field `(?P<name>.*)`")
 
 
 def read_toml(
-    path: Path, kind: type[Settings], error: type[UserError], names: Mapping[str, str] | None = None
+    path: Path, kind: type[Settings], error: type[UserError], former: Mapping[str, str] | None = None
 ) -> Settings:
     """Read a TOML file into a struct.
 
     Args:
         kind: struct class; its tables are structs, tuples or dicts of structs.
         error: class of error to raise.
-        names: further names of fields at the top level, with the field of each.
+        former: fields of the top level by their former names, which warn.
 
     Raises:
         UserError: of the class `error`: the file is unreadable, a key unknown, or a value missing or wrong.
     """
-    own = {name: field for name, field in (names or {}).items() if field in kind.__struct_fields__}
-    raw = renamed(read_tables(path, error), own, path, error)
+    raw = renamed(read_tables(path, error), former or {}, kind.__struct_fields__, path, error)
     for keys, struct in _unknown_keys(raw, kind, ()):
         *where, key = keys
         hint = did_you_mean(str(key), struct.__struct_fields__)
@@ -55,19 +54,32 @@ def read_tables(path: Path, error: type[UserError]) -> dict[str, Any]:
         return tomllib.loads(text)
 
 
-def renamed(raw: dict[str, Any], names: Mapping[str, str], where: Path, error: type[UserError]) -> dict[str, Any]:
-    """Return the tables of a file with its fields by their own names.
+def renamed(
+    values: Mapping[str, T],
+    former: Mapping[str, str],
+    fields: Collection[str],
+    where: Path | str,
+    error: type[UserError],
+) -> dict[str, T]:
+    """Return values by name with today's names in place of former ones; each of those warns.
 
     Args:
-        names: further names, with the field of each.
+        former: names of today by former ones.
+        fields: names of today that are meant; the others stay as they are.
+        where: file or command that the values are of, for warning and message; "" for arguments.
 
     Raises:
-        UserError: of the class `error`: a field is there by two names.
+        UserError: of the class `error`: a value is there by both names.
     """
-    for name, field in names.items():
-        if name in raw and field in raw:
-            raise error(f"{where}: {name} and {field} are the same; leave out {field}")
-    return {names.get(name, name): value for name, value in raw.items()}
+    found, place = dict(values), f"{where}: " if where else ""
+    for old, new in former.items():
+        if old not in found or old in fields or new not in fields:
+            continue
+        if new in found:
+            raise error(f"{place}{old} and {new} are the same; leave out {old}")
+        warn_deprecated(f"{place}{old}", new)
+        found[new] = found.pop(old)
+    return found
 
 
 def dotted(keys: Iterable[str | int]) -> str:

@@ -184,8 +184,11 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
         (("drive", "four_way", "--perception", "nobody:Here"), "nobody"),
         (("drive", "four_way", "--seed", "-1", "--out", "{out}/rows.csv"), "seed: expected 0 to 2^63 - 1"),
         (("drive", "ima_queue", "--perception", "team", "--corruption", "fog", "--severity", "9"), "expected 1 to 5"),
-        (("drive", "ima_queue", "--perception", "team", "--corruption", "fog", "--who", "helper"), "ego, helpers or"),
-        (("drive", "ima_queue", "--perception", "team", "--who", "helpers"), "add --corruption"),
+        (
+            ("drive", "ima_queue", "--perception", "team", "--corruption", "fog", "--corrupted-agents", "helper"),
+            "ego, helpers or",
+        ),
+        (("drive", "ima_queue", "--perception", "team", "--corrupted-agents", "helpers"), "add --corruption"),
         (("view", "{data}", "--out", "{out}", "--frames", "0"), "frames"),
         (("view", "{data}", "--port", "99999999"), "port"),
         (("scenario", "show", "dsrc-sim"), "is a data set, not a scenario; run: dsrc dataset build dsrc-sim"),

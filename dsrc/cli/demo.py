@@ -77,7 +77,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
     plain, corrupted = (dsrc.with_name(f"small-{name}.pt") for name in ("plain", "dsrc-corrupted"))
     with progress("evaluate, clean and six corruptions") as report:
         checkpoints = (f"DSRC (SDD+PCP+REC)={dsrc}", f"plain student={plain}", f"DSRC, corrupted clouds={corrupted}")
-        config = Evaluation(checkpoints=checkpoints, data=out / "test", out=out / "results")
+        config = Evaluation(checkpoint=checkpoints, data=out / "test", out=out / "results")
         table = result_table(evaluate_drives(config, Pool(), report))
     with progress("review page") as report:
         page = export_html(out / "test", out / "review.html", checkpoint=dsrc)

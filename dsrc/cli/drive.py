@@ -97,14 +97,14 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 if getattr(self, name) not in (None, ()):
                     raise SettingsError(f"drive: {self.what} is a log, which has its own; leave out {option(name)}")
         elif not self.what.endswith(".toml") and not set(self.corruption) - {CLEAN}:
-            for name in ("who", "severity", "family"):
+            for name in ("corrupted_agents", "severity", "family"):
                 if getattr(self, name):
                     raise SettingsError(f"drive: {option(name)} says how sensors are corrupted; add --corruption")
 
     def _drive(self, out: Path) -> None:
         from rich.console import Console
 
-        from dsrc.closed_loop.campaign.plan import campaign_of
+        from dsrc.closed_loop.campaign.plan import campaign_of, late_messages
         from dsrc.closed_loop.campaign.run import estimate_s, read_results, reused, run_campaign
         from dsrc.closed_loop.report.report import check_publication, publish_report, write_report
         from dsrc.closed_loop.report.terminal import summary_table
@@ -120,6 +120,11 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 sys.stderr.write(f"{reused(plan, known)} of {len(known)} results are of this campaign's episodes\n")
             episodes, seconds = estimate_s(plan, out, self.pool, known)
             sys.stderr.write(f"{episodes} episodes to drive, about {_duration(seconds)}\n")
+        for name, delay_s, age_s in late_messages(plan):
+            sys.stderr.write(
+                f"channel {name}: messages are {delay_s:g} s late, so a detection every "
+                f"{plan.loop.detect_every_s:g} s uses those of {age_s:g} s ago\n"
+            )
         with progress(f"drive {plan.name}") as report:
             result = run_campaign(plan, out, self.pool, report, known)
         console = Console(highlight=False)

@@ -2,13 +2,13 @@
 
 A field is an option, its line under `Attributes:` the help text, a field that is a struct itself (`Pool`) adds its
 options. The lines under `Examples:` end the description. A line that ends with `; default: WORDS` says what None, "" or
-() stand for. `msgspec.field(name=...)` gives an option another name than the field's.
+() stand for.
 """
 
 import re
 import types
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, make_dataclass
+from dataclasses import field, fields, make_dataclass
 from inspect import cleandoc
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -16,7 +16,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import msgspec
 from tyro.conf import Positional, arg
 
-from dsrc.options.fields import CHANNELS, CORRUPTIONS, File, Folder, Scenario, Severity, choice  # noqa: F401
+from dsrc.options.fields import RENAMED
+from sim.errors import option, warn_deprecated
 
 _METAVARS = {bool: "", int: "INT", float: "FLOAT", str: "STR", Path: "PATH"}
 _POSITIONAL = get_args(Positional[int])[1]
@@ -28,8 +29,21 @@ def parse(command: type[msgspec.Struct], prog: str, args: Sequence[str]) -> Any:
     """Return the options in `args`; prints help or a complaint and exits where there are none to return."""
     import tyro
 
-    values = vars(tyro.cli(_flat(command), prog=prog, description=describe(command), args=list(args)))
-    return _struct(command, values)
+    flat = _flat(command)
+    return _struct(command, vars(tyro.cli(flat, prog=prog, description=describe(command), args=_today(flat, args))))
+
+
+def _today(flat: type, args: Sequence[str]) -> list[str]:
+    """Return words of the command line with the options' names of today in place of former ones."""
+    known, words = {one.name for one in fields(flat)}, []
+    for word in args:
+        name, equals, value = word.partition("=")
+        new = RENAMED.get(name.removeprefix("--").replace("-", "_"), "") if name.startswith("--") else ""
+        if new in known:
+            warn_deprecated(name, option(new))
+            word = f"{option(new)}{equals}{value}"
+        words.append(word)
+    return words
 
 
 def summary(command: type) -> str:
@@ -79,7 +93,7 @@ def fields_of(
         if _is_struct(one.type):
             yield from fields_of(one.type, default)
         else:
-            yield one.encode_name, hints[one.name], default, texts.get(one.name, "")
+            yield one.name, hints[one.name], default, texts.get(one.name, "")
 
 
 def _is_struct(kind: object) -> bool:
@@ -126,7 +140,7 @@ def metavar(kind: Any) -> str:
 def _struct(struct: type[msgspec.Struct], values: Mapping[str, object]) -> Any:
     return struct(
         **{
-            one.name: _struct(one.type, values) if _is_struct(one.type) else values[one.encode_name]
+            one.name: _struct(one.type, values) if _is_struct(one.type) else values[one.name]
             for one in msgspec.structs.fields(struct)
         }
     )

@@ -10,7 +10,7 @@ from dsrc.cli.progress import made, progress
 from dsrc.options.fields import File, Output
 from dsrc.options.review import Review, ServeOptions
 
-_OF_CORRUPTION = ("severity", "family", "who")
+_OF_CORRUPTION = ("severity", "family", "corrupted_agents")
 _LEAVE_OUT = "leave out {}"
 _ADD_CORRUPTION = "{} says how sensors are corrupted; add --corruption"
 
@@ -120,7 +120,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
         from sim.errors import SettingsError
         from sim.files import check_apart, check_output
 
-        Condition.of(self.corruption, self.severity, self.family, self.who).checked()
+        Condition.of(self.corruption, self.severity, self.family, self.corrupted_agents).checked()
         for path, kind in ((self.picture, "picture"), (self.animation, "animation")):
             if path is not None:
                 check_apart(path, self.data)

@@ -15,6 +15,7 @@ import numpy as np
 from dsrc.closed_loop.log_columns import below, rounded_tick, tick_columns
 from dsrc.closed_loop.log_reader import ColumnReader, read_ticks
 from dsrc.closed_loop.types import Outcome, Tick
+from sensors.corruptions import Condition
 from sim.contact import Contact
 from sim.packed import read_arrays, write_arrays
 from sim.reading import parsing
@@ -62,6 +63,11 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     loop: dict[str, float] = {}
     route_m: float | None = None
     versions: dict[str, str] = {}
+
+    @property
+    def condition(self) -> Condition:
+        """Condition of the sensors."""
+        return Condition.of(self.corruption, self.severity, self.family, self.who)
 
 
 class EpisodeLog:

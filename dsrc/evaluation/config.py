@@ -1,11 +1,11 @@
 """Settings of a benchmark, a TOML: methods x datasets x corruptions x severities x channels, and parameter sweeps.
 
     name = "small"
-    corruptions = ["paper_six"]
-    families = ["physical", "paper"]  # tables of each; default: physical
-    severities = [3]
-    channels = ["ideal"]
-    limit = 300                       # frames of each dataset, evenly spread; default: all
+    corruption = ["paper_six"]
+    family = ["physical", "paper"]    # tables of each; default: physical
+    severity = [3]
+    channel = ["ideal"]
+    frames = 300                      # of each dataset, evenly spread; default: all
 
     [[methods]]
     name = "DSRC"
@@ -47,11 +47,10 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from dsrc.evaluation.conditions import check_numbers
 from dsrc.models.settings import ModelSettings
-from dsrc.options.detection import BenchmarkOptions
-from dsrc.options.fields import PLAN_NAMES
-from sensors.corruptions import EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
+from dsrc.options.detection import BenchmarkOptions, Comparison
+from dsrc.options.fields import RENAMED
+from sensors.corruptions import Condition, conditions_of
 from sim.errors import SettingsError, complaint, did_you_mean, option
 from sim.radio import IDEAL, ChannelSpec, Radio, get_channel
 from sim.settings import convert, read_toml
@@ -140,20 +139,13 @@ class ParameterSweeps(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     loss: tuple[Annotated[float, Meta(ge=0.0, le=1.0)], ...] = ()
 
 
-class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings of a benchmark.
+class Benchmark(Comparison, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of a benchmark: what `Comparison` has, and methods on datasets.
 
     Attributes:
         methods: lines of the tables, in their order.
         datasets: each with tables of its own.
         name: of the benchmark.
-        corruptions: kinds, `paper_six`, `all` or `clean`; clean frames are always evaluated.
-        severities: of each corruption, 1 to 5; the tables show 3, the paper's, where it is among them.
-        families: of the corruptions' settings; the tables of corruptions are written once for each.
-        who: agents whose sweeps are corrupted: `all`, `ego`, `helpers`, or ids between commas.
-        channels: radio channels; the tables show `ideal`, where every message arrives and bytes are counted.
-        seed: of corruptions and channels.
-        limit: most frames of a dataset, evenly spread; None for all.
         differences: pairs of methods to compare.
         notes: footnotes, marked in their order.
         sweeps: parameter sweeps.
@@ -163,17 +155,10 @@ class Benchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     methods: Annotated[tuple[MethodSpec, ...], Meta(min_length=1)]
     datasets: Annotated[tuple[DatasetSpec, ...], Meta(min_length=1)]
     name: str = "benchmark"
-    corruptions: tuple[str, ...] = (PAPER_TABLE,)
-    severities: tuple[int, ...] = (3,)
-    families: Annotated[tuple[Family, ...], Meta(min_length=1)] = ("physical",)
-    who: str = EVERYONE
-    channels: _Texts = (IDEAL,)
-    seed: int = 0
-    limit: int | None = None
     differences: tuple[DifferenceSpec, ...] = ()
     notes: tuple[Footnote, ...] = ()
     sweeps: ParameterSweeps = ParameterSweeps()
-    pictures: dict[str, object] = {}
+    pictures: dict[str, object] = msgspec.field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +204,7 @@ def read_benchmark(path: Path) -> Benchmark:
     Raises:
         SettingsError: the file is invalid; one line names the field.
     """
-    plan = read_toml(path, Benchmark, SettingsError, PLAN_NAMES)
+    plan: Benchmark = read_toml(path, Benchmark, SettingsError, RENAMED)
 
     def found(name: str) -> str:
         beside = path.parent / name
@@ -249,15 +234,13 @@ def plan_of(options: BenchmarkOptions) -> Benchmark:
             raise SettingsError(complaint("benchmark", "plan", "a .toml", str(path), hint))
         for one in fields:
             if one.name in given:
-                raise SettingsError(f"benchmark: {path} describes the benchmark; leave out {option(one.encode_name)}")
+                raise SettingsError(f"benchmark: {path} describes the benchmark; leave out {option(one.name)}")
         return read_benchmark(path)
-    methods = _grouped("checkpoint", given.pop("checkpoints", ()))
+    methods = _grouped("checkpoint", given.pop("checkpoint", ()))
     datasets = _grouped("data", given.pop("data", ()))
     for field, found in (("checkpoint", methods), ("data", datasets)):
         if not found:
             raise SettingsError(f"benchmark: nothing to compare; add --{field}, or the TOML of a benchmark")
-    if "family" in given:
-        given["families"] = (given.pop("family"),)
     listed = {
         "methods": [{"name": name, "detectors": files} for name, files in methods.items()],
         "datasets": [{"name": name, "drives": folders} for name, folders in datasets.items()],
@@ -303,9 +286,9 @@ def check(plan: Benchmark, where: str) -> None:
     for field, given in (
         ("methods", names),
         ("datasets", [dataset.name for dataset in plan.datasets]),
-        ("channels", list(plan.channels)),
-        ("severities", list(map(str, plan.severities))),
-        ("families", list(map(str, plan.families))),
+        ("channel", list(plan.channel)),
+        ("severity", list(map(str, plan.severity))),
+        ("family", list(map(str, plan.family))),
     ):
         repeated = sorted({name for name in given if given.count(name) > 1})
         if repeated:
@@ -335,15 +318,23 @@ def check(plan: Benchmark, where: str) -> None:
                 raise SettingsError(complaint(where, place, expected, field, did_you_mean(field, IN_USE)))
             hint = get_type_hints(ModelSettings, include_extras=True)[field]
             convert(value, hint, where, SettingsError, field=f"{place}.{field}")
-    check_numbers(where, plan.seed, plan.limit)
-    if not plan.severities:
-        raise SettingsError(complaint(where, "severities", "at least one", "none"))
-    conditions_of(plan.corruptions, plan.severities, plan.families, plan.who, where)
+    check_numbers(where, plan.seed, plan.frames)
+    if not plan.severity:
+        raise SettingsError(complaint(where, "severity", "at least one", "none"))
+    conditions_of(plan.corruption, plan.severity, plan.family, plan.corrupted_agents, where)
     try:
-        for channel in plan.channels:
+        for channel in plan.channel:
             get_channel(channel)
     except SettingsError as error:
         raise SettingsError(f"{where}: {error}") from None
+
+
+def check_numbers(where: str, seed: int, frames: int | None) -> None:
+    """Raise SettingsError for a number out of its range; `where` begins the message."""
+    if seed < 0:
+        raise SettingsError(complaint(where, "seed", "at least 0", seed))
+    if frames is not None and frames < 1:
+        raise SettingsError(complaint(where, "frames", "at least 1", frames))
 
 
 def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
@@ -376,8 +367,8 @@ def cases_of(plan: Benchmark) -> list[Case]:
 def _cases(plan: Benchmark) -> Iterator[Case]:
     trained = [(method.name, row) for method in plan.methods for row in range(len(method.detectors))]
     for dataset in plan.datasets:
-        for channel in plan.channels:
-            for condition in conditions_of(plan.corruptions, plan.severities, plan.families, plan.who):
+        for channel in plan.channel:
+            for condition in conditions_of(plan.corruption, plan.severity, plan.family, plan.corrupted_agents):
                 for name, row in trained:
                     yield Case(name, row, dataset.name, condition, channel)
     sweeps = plan.sweeps

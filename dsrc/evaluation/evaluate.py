@@ -45,7 +45,7 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
     Raises:
         UserError: a file, a drive or a setting is wrong.
     """
-    plan, channels = plan_of_evaluation(config), bool(config.radios(config.channels))
+    plan, channels = plan_of_evaluation(config), bool(config.radios(config.channel))
     result = run_plan(plan, config.out, pool, config.device, progress, config.engine, config.reuse)
     made_by = provenance_of(result)
     entries = list(_labelled(result, channels))
@@ -73,10 +73,10 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
     Raises:
         SettingsError: a name repeats or is unknown, or a number is out of its range.
     """
-    if not config.checkpoints:
+    if not config.checkpoint:
         raise SettingsError(complaint("evaluate", "checkpoint", "at least one detector", "none"))
     files: dict[str, str] = {}
-    for name, path in named(config.checkpoints):
+    for name, path in named(config.checkpoint):
         if name in files:
             found = f"{name} for {path} too"
             raise SettingsError(
@@ -91,13 +91,13 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
         name="evaluate",
         methods=tuple(methods),
         datasets=(DatasetSpec(name=config.data.name or "data", drives=(str(config.data),)),),
-        corruptions=corruption_kinds(config.corruptions, config.family) or (CLEAN,),
-        severities=(config.severity,),
-        families=(config.family,),
-        who=config.who,
-        channels=config.radios(config.channels) or (IDEAL,),
+        corruption=corruption_kinds(config.corruption, config.family) or (CLEAN,),
+        severity=(config.severity,),
+        family=(config.family,),
+        corrupted_agents=config.corrupted_agents,
+        channel=config.radios(config.channel) or (IDEAL,),
         seed=config.seed,
-        limit=config.limit,
+        frames=config.frames,
     )
     check(plan, "evaluate")
     return plan
@@ -113,7 +113,7 @@ def _labelled(result: BenchmarkResult, channels: bool) -> Iterator[tuple[CaseRes
 
     for entry in sorted(result.entries, key=place):
         case = entry.case
-        if case.method in alone and case.channel != result.plan.channels[0]:
+        if case.method in alone and case.channel != result.plan.channel[0]:
             continue
         label = f"{case.method}, {case.channel}" if channels and case.method not in alone else case.method
         labelled = replace(entry, case=replace(case, method=label), row=replace(entry.row, method=label))

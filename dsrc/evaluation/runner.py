@@ -15,7 +15,6 @@ import torch
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.evaluation.cache import CellSettings, read_cell, read_settings
 from dsrc.evaluation.cells import CellJob, load_adjusted, make_cells
-from dsrc.evaluation.conditions import channel_settings
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
 from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
@@ -155,7 +154,7 @@ def run_plan(
                 )
     _check_judged_alike(plan, trained)
     datasets = {d.name: [r for folder in d.drives for r in _readers(folder)] for d in plan.datasets}
-    positions = {name: frame_positions(readers, plan.limit) for name, readers in datasets.items()}
+    positions = {name: frame_positions(readers, plan.frames) for name, readers in datasets.items()}
     drives = {name: {str(r.drive): r.digest() for r in readers} for name, readers in datasets.items()}
     cases = cases_of(plan)
     cells = _CellPlanner(plan, device, engine, trained, datasets, positions, drives)
@@ -241,7 +240,7 @@ class _CellPlanner:
         agents = min(most, *(limit for limit in (case.agents, one.agents, most) if limit is not None))
         # The ego alone gets no message: the same through every channel.
         channel = case.spec() if agents > 1 else None
-        condition, listed = case.condition.decisive(), None if channel is None else channel_settings(channel)
+        condition, listed = case.condition.decisive(), None if channel is None else channel.decisive()
         planned = []
         for reader, positions in zip(self.datasets[case.dataset], self.positions[case.dataset], strict=True):
             for start in range(0, len(positions), CHUNK):

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-from msgspec import field
+from msgspec import Meta
 from tyro.conf import Positional, arg
 
 from dsrc.options.fields import (
@@ -12,12 +12,12 @@ from dsrc.options.fields import (
     CORRUPTIONS,
     METHODS,
     RECIPES,
+    AgentsText,
     Data,
+    Disturbed,
     Family,
     File,
     Folder,
-    RadioChanges,
-    Who,
     choice,
 )
 
@@ -49,21 +49,19 @@ PROTOCOLS = (
 """Names for the help text; `dsrc.evaluation.metrics.protocols` decides, a test compares."""
 
 
-class Evaluation(RadioChanges, frozen=True, kw_only=True):
+class Evaluation(Disturbed, frozen=True, kw_only=True):
     """Options of an evaluation.
 
     Attributes:
-        checkpoints: detector files; NAME=FILE names a row.
+        checkpoint: detector files; NAME=FILE names a row.
         data: a drive, or a folder of drives.
         out: folder of results.csv, results.json, plots and cached cells with all detections, which dsrc view opens; an
             interrupted evaluation resumes.
-        corruptions: kinds of corruption; paper_six are those of the paper's tables; clean frames are always evaluated.
-        who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
-            acts on their sensors and nowhere else.
+        corruption: kinds of corruption; paper_six are those of the paper's tables; clean frames are always evaluated.
         seed: seed of corruptions and channels.
-        limit: frames to evaluate, evenly spread; default: all.
+        frames: frames to evaluate, evenly spread; default: all.
         ego_alone: also evaluate the first detector without collaborators.
-        channels: radio channels, each detector through each of them; default: no loss, no delay and no byte counts.
+        channel: radio channels, each detector through each of them; default: no loss, no delay and no byte counts.
         engine: execution of the networks: fused layers, the same in half precision for CPUs with AMX, PyTorch's
             compiler, or layer by layer.
         device: device of the networks.
@@ -71,33 +69,31 @@ class Evaluation(RadioChanges, frozen=True, kw_only=True):
             taken from them, which is recorded; default: none.
     """
 
-    checkpoints: Checkpoints = field(name="checkpoint")
+    checkpoint: Checkpoints
     data: Data
     out: Folder
-    corruptions: Kinds = field(default=("paper_six",), name="corruption")
-    who: Who = "all"
+    corruption: Kinds = ("paper_six",)
     seed: int = 0
-    limit: int | None = field(default=None, name="frames")
+    frames: int | None = None
     ego_alone: bool = True
-    channels: Channels = field(default=(), name="channel")
+    channel: Channels = ()
     engine: Engine = "fused"
     device: Device = "cpu"
     reuse: tuple[Folder, ...] = ()
 
 
-class Sharing(RadioChanges, frozen=True, kw_only=True):
+class Sharing(Disturbed, frozen=True, kw_only=True):
     """Options of the shares of agents in detections.
 
     Attributes:
         checkpoint: detector file.
         data: a drive, or a folder of drives.
         out: folder of shares.csv, shares.json, shares.png and cached cells; an interrupted run resumes.
-        corruptions: kinds of corruption beside clean frames; paper_six are those of the paper's tables; default: none.
-        who: agents whose sweeps are corrupted, by word or by their ids.
+        corruption: kinds of corruption beside clean frames; paper_six are those of the paper's tables; default: none.
         channel: radio channel; default: no loss and no delay.
         iou: least overlap in bird's-eye view of a detection with the box that it is of.
         seed: seed of corruptions and channel.
-        limit: frames to look at, evenly spread; default: all.
+        frames: frames to look at, evenly spread; default: all.
         engine: execution of the network, see dsrc evaluate.
         device: device of the network.
         reuse: folders of earlier shares: cells whose settings agree in all but code and package versions are taken
@@ -107,12 +103,11 @@ class Sharing(RadioChanges, frozen=True, kw_only=True):
     checkpoint: File
     data: Data
     out: Folder
-    corruptions: Kinds = field(default=(), name="corruption")
-    who: Who = "all"
+    corruption: Kinds = ()
     channel: Annotated[str | None, choice(CHANNELS)] = None
     iou: float = 0.5
     seed: int = 0
-    limit: int | None = field(default=None, name="frames")
+    frames: int | None = None
     engine: Engine = "fused"
     device: Device = "cpu"
     reuse: tuple[Folder, ...] = ()
@@ -135,42 +130,50 @@ class Scoring(msgspec.Struct, frozen=True, kw_only=True):
     corruption: Annotated[str, choice(("clean", "all", *CORRUPTIONS))] = "clean"
 
 
-class BenchmarkOptions(msgspec.Struct, frozen=True, kw_only=True):
+class Comparison(msgspec.Struct, frozen=True, kw_only=True):
+    """What methods are compared under: fields of a benchmark's TOML and options of `dsrc benchmark`.
+
+    Attributes:
+        corruption: kinds of corruption; paper_six are those of the paper's tables; clean frames are always evaluated.
+        severity: severities of each corruption, 1 to 5; the tables show 3, the paper's, where it is among them.
+        family: models of the corruptions: of physical causes, or as published in papers; tables of each.
+        corrupted_agents: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a
+            counterfactual: it acts on their sensors and nowhere else.
+        channel: radio channels; the tables show ideal, where every message arrives and bytes are counted.
+        frames: frames of each dataset to evaluate, evenly spread; default: all.
+        seed: seed of corruptions and channels.
+    """
+
+    corruption: Kinds = ("paper_six",)
+    severity: tuple[int, ...] = (3,)
+    family: Annotated[tuple[Family, ...], Meta(min_length=1)] = ("physical",)
+    corrupted_agents: AgentsText = "all"
+    channel: Annotated[Channels, Meta(min_length=1)] = ("ideal",)
+    frames: int | None = None
+    seed: int = 0
+
+
+class BenchmarkOptions(Comparison, frozen=True, kw_only=True):
     """Options that describe a benchmark, in place of a TOML.
 
     Attributes:
         plan: TOML of the benchmark, in place of the options that describe one; default: the options.
-        checkpoints: detector files; NAME=FILE names a method, several files of one NAME are its trainings;
+        checkpoint: detector files; NAME=FILE names a method, several files of one NAME are its trainings;
             default: none.
         data: folders of drives, a dataset each; NAME=FOLDER names one; default: none.
-        corruptions: kinds of corruption; paper_six are those of the paper's tables; default: paper_six.
-        severities: severities of each corruption, 1 to 5; default: 3.
-        family: models of the corruptions: of physical causes, or as published in papers; default: physical.
-        who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
-            acts on their sensors and nowhere else; default: all.
-        channels: radio channels; default: ideal.
         agents: numbers of agents to compare, such as 1 2 3 4 5; default: none.
         pose_error: pose errors of the collaborators to compare, m and deg, such as 0.2 0.4; default: none.
         delay_s: delays to compare, s; default: none.
         loss: packet loss rates to compare; default: none.
-        limit: frames of each dataset to evaluate, evenly spread; default: all.
-        seed: seed of corruptions and channels; default: 0.
     """
 
     plan: Positional[File | None] = None
-    checkpoints: Checkpoints = field(default=(), name="checkpoint")
+    checkpoint: Checkpoints = ()
     data: Annotated[tuple[str, ...], arg(metavar="[NAME=]FOLDER [...]")] = ()
-    corruptions: Kinds | None = field(default=None, name="corruption")
-    severities: tuple[int, ...] | None = field(default=None, name="severity")
-    family: Family | None = None
-    who: Who | None = None
-    channels: Channels | None = field(default=None, name="channel")
-    agents: tuple[int, ...] | None = None
-    pose_error: tuple[float, ...] | None = None
-    delay_s: tuple[float, ...] | None = None
-    loss: tuple[float, ...] | None = None
-    limit: int | None = field(default=None, name="frames")
-    seed: int | None = None
+    agents: tuple[int, ...] = ()
+    pose_error: tuple[float, ...] = ()
+    delay_s: tuple[float, ...] = ()
+    loss: tuple[float, ...] = ()
 
 
 class TrainOptions(msgspec.Struct, frozen=True):

@@ -7,7 +7,7 @@ import msgspec
 from msgspec import Meta
 from tyro.conf import arg
 
-from dsrc.options.fields import CORRUPTIONS, Data, Family, Folder, Scenario, Splits, Who, choice
+from dsrc.options.fields import CORRUPTIONS, AgentsText, Data, Family, Folder, Scenario, Splits, choice
 
 if TYPE_CHECKING:
     from sim import scenario
@@ -80,8 +80,8 @@ class CorruptOptions(msgspec.Struct, frozen=True):
         family: models of the corruption: of physical causes, or as published in papers; default: physical, or the
             preset's.
         preset: published settings in place of severity and family, such as robo3d_heavy; default: none.
-        who: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a counterfactual: it
-            acts on their sensors and nowhere else.
+        corrupted_agents: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a
+            counterfactual: it acts on their sensors and nowhere else.
         set: settings in place of the severity's, such as calibration=hdl64.npz; default: none.
         sensor: preset of the LiDAR of scans, such as hdl-64e-s2; default: rings are found in the points.
         seed: seed of the corruption; every drive draws its own weather and faults from it.
@@ -95,7 +95,7 @@ class CorruptOptions(msgspec.Struct, frozen=True):
     severity: int | None = None
     family: Family | None = None
     preset: str | None = None
-    who: Who = "all"
+    corrupted_agents: AgentsText = "all"
     set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE [...]")] = ()
     sensor: str | None = None
     seed: int = 0

@@ -25,7 +25,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
             default: none.
         severity: severities of each corruption, 1 to 5; default: 3.
         family: models of the corruptions: of physical causes, or as published in papers; default: physical.
-        who: agents whose sensors are corrupted: ego, helpers, all, or ids such as 1002,-1; default: all.
+        corrupted_agents: agents whose sensors are corrupted: ego, helpers, all, or ids such as 1002,-1; default: all.
         channel: radio channels; default: ideal.
         loss: share of packets lost, 0 to 1, such as 0.3; default: the channel's.
         delay_s: delay of messages, s; default: the channel's.
@@ -46,7 +46,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     corruption: Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPTIONS), several=True)] = ()
     severity: tuple[int, ...] = ()
     family: Family | None = None
-    who: str | None = None
+    corrupted_agents: str | None = None
     channel: Annotated[tuple[str, ...], choice(CHANNELS, several=True)] = ()
     loss: float | None = None
     delay_s: float | None = None

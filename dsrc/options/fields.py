@@ -9,6 +9,17 @@ from typing import Annotated, Any, Concatenate, Literal, ParamSpec, Protocol, Ty
 import msgspec
 from tyro.conf import Positional, arg
 
+from sim.errors import SettingsError
+from sim.settings import renamed
+
+T = TypeVar("T")
+Fields = ParamSpec("Fields")
+Work = ParamSpec("Work")
+Options_contra = TypeVar("Options_contra", contravariant=True)
+Options = TypeVar("Options")
+Result = TypeVar("Result")
+Result_co = TypeVar("Result_co", covariant=True)
+
 Folder = Annotated[Path, arg(metavar="FOLDER")]
 File = Annotated[Path, arg(metavar="FILE")]
 Data = Positional[Annotated[Path, arg(metavar="DATA")]]
@@ -16,8 +27,8 @@ Data = Positional[Annotated[Path, arg(metavar="DATA")]]
 Scenario = Positional[Annotated[str, arg(metavar="SCENARIO")]]
 Splits = Positional[Annotated[str, arg(metavar="SPLITS")]]
 Family = Literal["physical", "paper"]
-Who = Annotated[str, arg(metavar="{all,ego,helpers,ID[,ID...]}")]
-"""Agents whose sweeps are corrupted, see `sensors.corruptions.parse_who`."""
+AgentsText = Annotated[str, arg(metavar="{all,ego,helpers,ID[,ID...]}")]
+"""Agents whose sweeps are corrupted, see `sensors.corruptions.parse_agents`."""
 
 # Lists of choices for help texts, so that help needs no heavy import; the functions decide, tests compare.
 CORRUPTIONS = (
@@ -59,8 +70,16 @@ METHODS = (
 )
 
 
-PLAN_NAMES = {"corruption": "corruptions", "severity": "severities", "channel": "channels", "frames": "limit"}
-"""Fields of plans by the names that their options have on the command line; a TOML takes both."""
+RENAMED = {
+    "who": "corrupted_agents",
+    "checkpoints": "checkpoint",
+    "corruptions": "corruption",
+    "severities": "severity",
+    "families": "family",
+    "channels": "channel",
+    "limit": "frames",
+}
+"""Options by their former names, which command line, TOML and Python take with a warning, see `sim.errors.GOES`."""
 
 
 def choice(names: Sequence[str], several: bool = False) -> Any:
@@ -69,20 +88,23 @@ def choice(names: Sequence[str], several: bool = False) -> Any:
     return arg(metavar=f"{listed} [...]" if several else listed)
 
 
-class Severity(msgspec.Struct, frozen=True, kw_only=True):
-    """Severity of corruptions.
+class Corrupted(msgspec.Struct, frozen=True, kw_only=True):
+    """How sweeps are corrupted, beside the kind of corruption.
 
     Attributes:
         severity: severity of the corruption, 1 to 5.
         family: models of the corruption: of physical causes, or as published in papers.
+        corrupted_agents: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a
+            counterfactual: it acts on their sensors and nowhere else.
     """
 
     severity: int = 3
     family: Family = "physical"
+    corrupted_agents: AgentsText = "all"
 
 
-class RadioChanges(Severity, frozen=True, kw_only=True):
-    """Severity of corruptions, and changes of the radio channels.
+class Disturbed(Corrupted, frozen=True, kw_only=True):
+    """How sweeps are corrupted, and what changes of the radio channels.
 
     Attributes:
         loss: share of packets lost, 0 to 1, such as 0.3; default: the channel's.
@@ -120,14 +142,6 @@ class Output(msgspec.Struct, frozen=True, kw_only=True):
     force: bool = False
 
 
-Fields = ParamSpec("Fields")
-Work = ParamSpec("Work")
-Options_contra = TypeVar("Options_contra", contravariant=True)
-Options = TypeVar("Options")
-Result = TypeVar("Result")
-Result_co = TypeVar("Result_co", covariant=True)
-
-
 class TakesFields(Protocol[Options_contra, Fields, Work, Result_co]):
     """Function of a struct of options, or of its fields as arguments."""
 
@@ -149,16 +163,14 @@ def takes_fields(
 
     def decorate(function: Callable[..., Any]) -> Any:
         further = list(signature(function).parameters.values())[1:]
-        # An option's name on the command line is an argument's too.
-        names = {one.encode_name: one.name for one in msgspec.structs.fields(struct)}  # type: ignore[arg-type]
+        names = {one.name for one in msgspec.structs.fields(struct)}  # type: ignore[arg-type]
 
         @wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
             if args and isinstance(args[0], struct):  # type: ignore[arg-type]
                 return function(*args, **kwargs)
             work = {one.name: kwargs.pop(one.name) for one in further if one.name in kwargs}
-            options = {names.get(name, name): value for name, value in kwargs.items()}  # type: ignore[arg-type]
-            return function(struct(*args, **options), **work)
+            return function(struct(*args, **renamed(kwargs, RENAMED, names, "", SettingsError)), **work)  # type: ignore[arg-type]
 
         hints = get_type_hints(struct)
         fields = [one.replace(annotation=hints[name]) for name, one in signature(struct).parameters.items()]

@@ -2,25 +2,23 @@
 
 from typing import Annotated, Literal
 
-from dsrc.options.fields import CORRUPTIONS, Data, File, Folder, Severity, Who, choice
+from dsrc.options.fields import CORRUPTIONS, Corrupted, Data, File, Folder, choice
 
 ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
 """Quantity shown by the colour of a point."""
 
 
-class Review(Severity, frozen=True, kw_only=True):
+class Review(Corrupted, frozen=True, kw_only=True):
     """Options of any review page.
 
     Attributes:
         checkpoint: detector file whose detections are drawn and matched; default: no detections.
         corruption: corruption at the start.
-        who: agents whose sweeps are corrupted, by word or by their ids.
         drives: folder of the drives of results or of a training, where they were moved; default: where they were.
     """
 
     checkpoint: File | None = None
     corruption: Annotated[str, choice(("clean", *CORRUPTIONS))] = "clean"
-    who: Who = "all"
     drives: Folder | None = None
 
 

@@ -214,7 +214,9 @@ class Recordings:
 
     def setup(self, state: ReviewState) -> Setup:
         """Setup of the detections under a state."""
-        condition = Condition.of(state.corruption, state.severity, state.family, state.who, state.parameters)
+        condition = Condition.of(
+            state.corruption, state.severity, state.family, state.corrupted_agents, state.parameters
+        )
         return Setup(condition, state.ego_id, state.cooperative)
 
     def _frame(self, state: ReviewState) -> Frame:

@@ -41,7 +41,7 @@ class ReviewState:
         corruption: `clean` or a kind of `sensors.corruptions`.
         severity: 1 to 5.
         family: of the corruption's settings.
-        who: agents whose sweeps are corrupted, see `sensors.corruptions.parse_who`.
+        corrupted_agents: agents whose sweeps are corrupted, see `sensors.corruptions.parse_agents`.
         parameters: those of the corruption that differ from the severity's.
         threshold: least score of a shown detection.
         iou: least bird's-eye IoU of a true positive.
@@ -76,7 +76,7 @@ class ReviewState:
     corruption: str = "clean"
     severity: int = 3
     family: Family = "physical"
-    who: str = EVERYONE
+    corrupted_agents: str = EVERYONE
     parameters: Changes = ()
     threshold: float = 0.3
     iou: float = 0.5
@@ -104,7 +104,16 @@ class ReviewState:
 
 _OF_CORRUPTION = ("corruption", "severity", "family")
 # A detection is known by its place in one list of scores.
-_LIST_OF_DETECTIONS = ("drive", "frame", *_OF_CORRUPTION, "parameters", "who", "ego_id", "cooperative", "methods")
+_LIST_OF_DETECTIONS = (
+    "drive",
+    "frame",
+    *_OF_CORRUPTION,
+    "parameters",
+    "corrupted_agents",
+    "ego_id",
+    "cooperative",
+    "methods",
+)
 
 
 def with_changes(state: ReviewState, methods: Callable[[int], Collection[str]], /, **changes: Any) -> ReviewState:

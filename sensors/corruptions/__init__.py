@@ -8,13 +8,13 @@ wherever possible.
 
 from sensors.corruptions.apply import (
     EVERYONE,
-    Who,
+    CorruptedAgents,
     corrupt,
     corrupt_frame,
     corruption_rng,
     drive_seed,
-    parse_who,
-    require_who,
+    parse_agents,
+    require_agents,
 )
 from sensors.corruptions.check import check_corruption
 from sensors.corruptions.condition import PAPER_TABLE, Changes, Condition, conditions_of, corruption_kinds
@@ -47,7 +47,7 @@ __all__ = [
     "Condition",
     "Corruption",
     "Family",
-    "Who",
+    "CorruptedAgents",
     "check_corruption",
     "conditions_of",
     "corrupt",
@@ -56,10 +56,10 @@ __all__ = [
     "corruption_rng",
     "drive_seed",
     "kinds_of",
-    "parse_who",
+    "parse_agents",
     "register_corruption",
     "require_corruption",
     "require_family",
-    "require_who",
+    "require_agents",
     "settings_of",
 ]

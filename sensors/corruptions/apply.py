@@ -1,4 +1,4 @@
-"""Corruption of sweeps and frames by kind, severity and family, of all agents or of some (`Who`).
+"""Corruption of sweeps and frames by kind, severity and family, of all agents or of some (`CorruptedAgents`).
 
 Weather is shared: all agents of a frame are in the same fog, whose strength drifts slowly over a drive (`weather`).
 Faults are each sensor's own. An agent's sweep under a corruption is the same whoever else is corrupted. Random streams
@@ -14,12 +14,12 @@ from sensors.corruptions.physics.weather import strength, weather_rng
 from sensors.corruptions.registry import CLEAN, CORRUPTIONS, Corruption, Family, require_corruption
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import ADDED, Sweep
-from sim.errors import DataError, SettingsError, complaint
+from sim.errors import DataError, SettingsError, complaint, warn_deprecated
 from sim.streams import Stream, derived_seed, random_generator
 
 EVERYONE: Literal["all"] = "all"
 
-Who = Literal["all", "ego", "helpers"] | tuple[int, ...]
+CorruptedAgents = Literal["all", "ego", "helpers"] | tuple[int, ...]
 """Agents whose sweeps are corrupted: all, the ego alone, all but the ego, or those of some ids. Weather is everywhere
 by nature: weather at some agents alone is a counterfactual, what it does to these sensors and to nothing else."""
 
@@ -57,8 +57,9 @@ def corrupt_frame(
     family: Family = "physical",
     *,
     ego_id: int | None = None,
-    who: Who = EVERYONE,
+    corrupted_agents: CorruptedAgents = EVERYONE,
     settings: Any = None,
+    who: CorruptedAgents | None = None,
 ) -> Frame:
     """Corrupt the sweeps of the agents of a frame; ground truth and its point counts stay.
 
@@ -66,18 +67,23 @@ def corrupt_frame(
         kind: key of `CORRUPTIONS`, or `clean`.
         severity: 1 to 5.
         seed: of the drive; frames may be corrupted in any order.
-        ego_id: agent without errors of pose and clock, and the ego of `who`; None for the first vehicle in the order
-            of the folders, else the first agent.
-        who: agents whose sweeps are corrupted.
+        ego_id: agent without errors of pose and clock, and the ego of `corrupted_agents`; None for the first vehicle in
+            the order of the folders, else the first agent.
+        corrupted_agents: agents whose sweeps are corrupted.
         settings: of the corruption, in place of those of the severity; weather drifts about them.
+        who: former name of `corrupted_agents`.
 
     Raises:
-        SettingsError: an unknown kind, severity or family, or `who` names nobody that the kind can corrupt.
-        DataError: an id of `who` is no agent, or a sweep lacks what the corruption needs or has invalid points; the
-            message names the agent.
+        SettingsError: an unknown kind, severity or family, or `corrupted_agents` names nobody that the kind can
+            corrupt.
+        DataError: an id of `corrupted_agents` is no agent, or a sweep lacks what the corruption needs or has invalid
+            points; the message names the agent.
     """
+    if who is not None:
+        warn_deprecated("who", "corrupted_agents")
+        corrupted_agents = who
     require_corruption(kind, severity, family)
-    require_who(kind, who)
+    require_agents(kind, corrupted_agents)
     if kind == CLEAN:
         return frame
     corruption = CORRUPTIONS[kind]
@@ -87,7 +93,7 @@ def corrupt_frame(
         settings = settings.scaled(strength(seed, kind, frame.time_s))
     shared = corruption.weather and corruption.in_frame is not None and family == "physical"
     ego = _ego_row(frame.agents, ego_id)
-    chosen = _rows(frame, who, ego) - ({ego} if corruption.spares_ego else set())
+    chosen = _rows(frame, corrupted_agents, ego) - ({ego} if corruption.spares_ego else set())
     sweeps = []
     for row, agent in enumerate(frame.agents):
         if row not in chosen:
@@ -103,8 +109,8 @@ def corrupt_frame(
     return frame.with_sweeps(sweeps)
 
 
-def parse_who(text: str) -> Who:
-    """Return the `Who` of `all`, `ego`, `helpers` or ids between commas, as `1003,-1`.
+def parse_agents(text: str) -> CorruptedAgents:
+    """Return the `CorruptedAgents` of `all`, `ego`, `helpers` or ids between commas, as `1003,-1`.
 
     Raises:
         SettingsError: the text is none of these.
@@ -116,27 +122,29 @@ def parse_who(text: str) -> Who:
         return tuple(int(part) for part in text.split(","))
     except ValueError:
         expected = "all, ego, helpers or ids of agents, such as 1003,-1"
-        raise SettingsError(complaint("corruption", "who", expected, text)) from None
+        raise SettingsError(complaint("corruption", "corrupted_agents", expected, text)) from None
 
 
-def require_who(kind: str, who: Who) -> None:
-    """Raise SettingsError unless `who` is `all`, `ego`, `helpers` or ids, and the kind can corrupt it."""
+def require_agents(kind: str, agents: CorruptedAgents) -> None:
+    """Raise SettingsError unless `agents` is `all`, `ego`, `helpers` or ids, and the kind can corrupt it."""
     where = f"corruption '{kind}'"
-    if who not in _WORDS and (isinstance(who, str) or len(who) == 0):
-        raise SettingsError(complaint(where, "who", "all, ego, helpers or ids of agents", who))
-    if who == "ego" and kind != CLEAN and CORRUPTIONS[kind].spares_ego:
-        raise SettingsError(complaint(where, "who", "helpers, as it is an error relative to the ego", who))
+    if agents not in _WORDS and (isinstance(agents, str) or len(agents) == 0):
+        raise SettingsError(complaint(where, "corrupted_agents", "all, ego, helpers or ids of agents", agents))
+    if agents == "ego" and kind != CLEAN and CORRUPTIONS[kind].spares_ego:
+        raise SettingsError(
+            complaint(where, "corrupted_agents", "helpers, as it is an error relative to the ego", agents)
+        )
 
 
-def _rows(frame: Frame, who: Who, ego: int) -> set[int]:
+def _rows(frame: Frame, agents: CorruptedAgents, ego: int) -> set[int]:
     """Return the rows of the agents whose sweeps are corrupted."""
     ids = [agent.agent_id for agent in frame.agents]
-    if isinstance(who, str):
-        return {row for row in range(len(ids)) if who == "all" or (row == ego) == (who == "ego")}
-    for one in who:
+    if isinstance(agents, str):
+        return {row for row in range(len(ids)) if agents == "all" or (row == ego) == (agents == "ego")}
+    for one in agents:
         if one not in ids:
-            raise DataError(complaint(f"frame {frame.index}", "who", f"ids among the agents {ids}", one))
-    return {ids.index(one) for one in who}
+            raise DataError(complaint(f"frame {frame.index}", "corrupted_agents", f"ids among the agents {ids}", one))
+    return {ids.index(one) for one in agents}
 
 
 def corruption_rng(seed: int, kind: str, index: int, agent_id: int, family: Family = "physical") -> np.random.Generator:

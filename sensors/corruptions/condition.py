@@ -6,7 +6,7 @@ from typing import Any, Self, cast
 
 import msgspec
 
-from sensors.corruptions.apply import EVERYONE, Who, corrupt_frame, parse_who, require_who
+from sensors.corruptions.apply import EVERYONE, CorruptedAgents, corrupt_frame, parse_agents, require_agents
 from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, require_severity
 from sensors.corruptions.presets import settings_of
 from sensors.corruptions.registry import (
@@ -48,7 +48,7 @@ class Condition:
     kind: str = CLEAN
     severity: int = 0
     family: Family = "physical"
-    agents: Who = EVERYONE
+    agents: CorruptedAgents = EVERYONE
     settings: Changes = ()
     preset: str | None = None
 
@@ -58,7 +58,7 @@ class Condition:
         kind: str,
         severity: int = DEFAULT_SEVERITY,
         family: Family | str = "physical",
-        agents: Who | str = EVERYONE,
+        agents: CorruptedAgents | str = EVERYONE,
         settings: Changes = (),
     ) -> Self:
         """Return a condition from words; clean sweeps have one, whatever the other arguments.
@@ -66,7 +66,7 @@ class Condition:
         Raises:
             SettingsError: `agents` is a text that names no agents.
         """
-        named = parse_who(agents) if isinstance(agents, str) else agents
+        named = parse_agents(agents) if isinstance(agents, str) else agents
         return cls() if kind == CLEAN else cls(kind, severity, cast(Family, family), named, settings)
 
     def checked(self) -> Self:
@@ -78,7 +78,7 @@ class Condition:
         """
         severity = DEFAULT_SEVERITY if self.kind == CLEAN else self.severity
         require_corruption(self.kind, severity, self.family)
-        require_who(self.kind, self.agents)
+        require_agents(self.kind, self.agents)
         if self.settings:
             self.resolved()
         return self
@@ -122,7 +122,7 @@ class Condition:
             seed,
             self.family,
             ego_id=ego_id,
-            who=self.agents,
+            corrupted_agents=self.agents,
             settings=self.resolved() if self.settings or self.preset else None,
         )
 
@@ -198,7 +198,7 @@ def conditions_of(
     names: Sequence[str],
     severities: Sequence[int],
     families: Sequence[Family] = ("physical",),
-    agents: Who | str = EVERYONE,
+    agents: CorruptedAgents | str = EVERYONE,
     where: str = "evaluate",
 ) -> list[Condition]:
     """Return the checked conditions of a study: clean, then, family by family, every corruption at every severity.
@@ -212,7 +212,7 @@ def conditions_of(
     """
     kinds = [(kind, family) for family in families for kind in corruption_kinds(names, family, where)]
     try:
-        named = parse_who(agents) if isinstance(agents, str) else agents
+        named = parse_agents(agents) if isinstance(agents, str) else agents
         for level in severities:
             require_severity(level)
         made = [Condition(kind, level, family, named) for kind, family in kinds for level in severities]

@@ -5,13 +5,15 @@ import re
 from dataclasses import dataclass
 from enum import IntEnum
 from math import inf
-from typing import Annotated, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
 import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
 from sim.errors import SettingsError, complaint, did_you_mean
+from sim.files import file_sha256
 from sim.radio.trace import read_trace
 from sim.scenario import NonNegative, Positive
 
@@ -77,6 +79,12 @@ class ChannelSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     error_correlation_s: NonNegative = 0.0
     clock_error_s: NonNegative = 0.0
     trace: str = ""
+
+    def decisive(self) -> dict[str, Any]:
+        """Return what decides the deliveries, of plain values: parts of keys; of a trace the hash of its file."""
+        settings = msgspec.to_builtins(self)
+        del settings["name"]
+        return {**settings, "trace": file_sha256(Path(self.trace))} if self.trace else settings
 
 
 _RADIO = ChannelSpec(

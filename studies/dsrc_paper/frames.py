@@ -100,7 +100,7 @@ def frames_at(plan: Benchmark, grid: GridSpec) -> list[tuple[int, Drive, int]]:
         DataError: the dataset has no frame.
     """
     readers = _readers(plan)
-    places = frame_positions(readers, plan.limit)
+    places = frame_positions(readers, plan.frames)
     ranked = []
     for row, (reader, positions) in enumerate(zip(readers, places, strict=True)):
         for position in positions:
@@ -123,7 +123,7 @@ def read_drawn_frames(plan: Benchmark, grid: GridSpec) -> list[DrawnFrame]:
         DataError: the dataset has no frame.
     """
     kind = pictures_of(plan).corruption
-    condition = Condition.of(kind, PAPER_SEVERITY, plan.families[0], plan.who)
+    condition = Condition.of(kind, PAPER_SEVERITY, plan.family[0], plan.corrupted_agents)
     chosen = []
     for percentile, reader, position in frames_at(plan, grid):
         name = reader.drive.name
@@ -138,7 +138,7 @@ def read_drawn_frames(plan: Benchmark, grid: GridSpec) -> list[DrawnFrame]:
 def spread_samples(plan: Benchmark, grid: GridSpec) -> list[Sample]:
     """Samples of clean frames for the count of channels, evenly spread over the first dataset."""
     readers = _readers(plan)
-    places = frame_positions(readers, min(_COUNTED_FRAMES, plan.limit or _COUNTED_FRAMES))
+    places = frame_positions(readers, min(_COUNTED_FRAMES, plan.frames or _COUNTED_FRAMES))
     return [
         make_sample(reader.read(position), None, grid)
         for reader, positions in zip(readers, places, strict=True)

@@ -29,8 +29,8 @@ def write_paper(result: BenchmarkResult, out: Path) -> list[Section]:
     sections = []
     for dataset in result.drives:
         writer = SectionWriter(out / slug(dataset), provenance_of(result))
-        for family in result.plan.families:
-            suffix = "" if family == result.plan.families[0] else f"_{family}"
+        for family in result.plan.family:
+            suffix = "" if family == result.plan.family[0] else f"_{family}"
             _write_tables(DatasetResults.of(result, dataset, family), writer, suffix)
         if dataset == result.plan.datasets[0].name:
             write_pictures(result, writer)

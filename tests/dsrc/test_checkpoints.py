@@ -62,7 +62,7 @@ def test_a_shipped_detector_finds_more_vehicles_on_unseen_drives_with_collaborat
     name: str, unseen: Path, tmp_path: Path
 ) -> None:
     checkpoints = (str(FOLDER / f"{name}.pt"),)
-    config = Evaluation(checkpoints=checkpoints, data=unseen, out=tmp_path, corruptions=("clean",))
+    config = Evaluation(checkpoint=checkpoints, data=unseen, out=tmp_path, corruption=("clean",))
     together, alone = evaluate_drives(config)
     ap = "ap_bev_50"
     assert together.metrics[ap] >= 0.6

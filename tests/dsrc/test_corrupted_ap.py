@@ -27,7 +27,7 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[float]]:
     for seed in SEEDS:
         generate("braunschweig", out / "data", frames=FRAMES, seed=seed, interval_s=4.0)
     checkpoints = (str(SHIPPED_DETECTOR.with_name("small-plain.pt")),)
-    config = Evaluation(checkpoints=checkpoints, data=out / "data", out=out / "results", ego_alone=False)
+    config = Evaluation(checkpoint=checkpoints, data=out / "data", out=out / "results", ego_alone=False)
     found: dict[str, list[float]] = {"clean": [], **{kind: [] for kind in PAPER_SIX}}
     for severity in SEVERITIES:
         for row in evaluate_drives(replace(config, severity=severity)):

@@ -68,7 +68,7 @@ def _results(folder: Path) -> list[Target]:
     """Results of an evaluation, which `dsrc view` opens and another evaluation resumes."""
     drives, out = small.write_drives(folder / "judged", drives=1, frames=1), folder / "results"
     checkpoint = small.write_detector(folder / "judge.pt", "dsrc")
-    evaluate_drives(Evaluation(checkpoints=(str(checkpoint),), data=drives, out=out, corruptions=()))
+    evaluate_drives(Evaluation(checkpoint=(str(checkpoint),), data=drives, out=out, corruption=()))
     cell = sorted((out / "cells").glob("*.npz"))[0]
     notes, episodes = folder / "notes.json", folder / "episodes"
     NoteBook(notes).put("drive_0, 0: missed 3", "behind a bus", ["occlusion"])

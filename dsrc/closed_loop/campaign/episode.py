@@ -106,6 +106,11 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
     key: str
     metrics: dict[str, float | None]
 
+    @property
+    def condition(self) -> Condition:
+        """Condition of the sensors."""
+        return Condition.of(self.corruption, self.severity, self.family or "physical", self.who)
+
 
 def read_result(folder: Path, key: str) -> EpisodeResult:
     """Read the result of an episode; raises DataError where it, or its log, is missing or damaged."""

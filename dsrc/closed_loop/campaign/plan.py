@@ -2,9 +2,9 @@
 
     name = "which corruption kills"
     scenarios = ["ima_building", "ped_dartout"]
-    corruptions = ["paper_six"]       # clean episodes are always driven
-    severities = [3]
-    channels = ["ideal"]
+    corruption = ["paper_six"]        # clean episodes are always driven
+    severity = [3]
+    channel = ["ideal"]
     clean_seeds = 20                  # episodes of a cell of the tables, the same seeds for everybody
     seeds = 10
 
@@ -19,7 +19,9 @@
 Paths are relative to the file, or else to the current folder.
 """
 
+import dataclasses
 import hashlib
+import math
 from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
@@ -43,23 +45,27 @@ from dsrc.closed_loop.perception.open import (
     parse_perception,
     source_hash,
 )
-from dsrc.evaluation.conditions import channel_settings
 from dsrc.options.detection import Engine
 from dsrc.options.driving import DriveOptions
-from dsrc.options.fields import PLAN_NAMES
+from dsrc.options.fields import RENAMED, changed_radios
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.catalog.load import load_scenario
 from sim.encounters import ENCOUNTERS
 from sim.errors import SettingsError, complaint, option
 from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, package_versions
-from sim.radio import IDEAL, get_channel
+from sim.radio import IDEAL, Radio, get_channel
 from sim.scenario import Scenario
-from sim.settings import convert, read_tables, read_toml, renamed
+from sim.settings import convert, read_tables, read_toml
 
 CONTROLS = ("no_occluder", "no_conflict")
 COMPUTED_BY = "dsrc.closed_loop.campaign.episode"
 """Module whose sources and imports are hashed into the keys of episodes."""
+
+_OF_RADIO = ("channel", "loss", "delay_s", "pose_error")
+_IDEAL_RADIO: dict[str, Any] = {"channel": (IDEAL,), "loss": None, "delay_s": None, "pose_error": None}
+_AS_GIVEN = ("severity", "family", "corrupted_agents", *_OF_RADIO, "engine", "driver")
+"""Options of `dsrc drive` that are fields of a campaign."""
 
 Seeds = Annotated[int, Meta(ge=1)] | Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
 _Names = Annotated[tuple[str, ...], Meta(min_length=1)]
@@ -93,11 +99,14 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         scenarios: names or paths.
         perceptions: lines of the tables, in their order.
         name: of the campaign.
-        corruptions: kinds, `paper_six`, `all` or `clean`; clean episodes are always driven.
-        severities: of each corruption, 1 to 5.
+        corruption: kinds, `paper_six`, `all` or `clean`; clean episodes are always driven.
+        severity: of each corruption, 1 to 5.
         family: of the corruptions' settings.
-        who: agents whose sensors are corrupted: `ego`, `helpers`, `all`, or ids such as `1002,-1`.
-        channels: radio channels of perceptions with helpers.
+        corrupted_agents: agents whose sensors are corrupted: `ego`, `helpers`, `all`, or ids such as `1002,-1`.
+        channel: radio channels of perceptions with helpers.
+        loss: share of packets lost, in place of the channels' own.
+        delay_s: delay of messages, s, likewise.
+        pose_error: pose error of the helpers, m and deg, likewise.
         clean_seeds: seeds of each scenario and perception without a corruption: a number of them, from 0, or a list.
         seeds: those of each scenario, perception, corruption, severity and channel; the same for all.
         engine: execution of the network, see `dsrc.models.storage.deploy.ENGINES`.
@@ -110,11 +119,14 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     scenarios: _Names
     perceptions: Annotated[tuple[PerceptionSpec, ...], Meta(min_length=1)]
     name: str = "campaign"
-    corruptions: tuple[str, ...] = (PAPER_TABLE,)
-    severities: Annotated[tuple[Annotated[int, Meta(ge=1, le=5)], ...], Meta(min_length=1)] = (3,)
+    corruption: tuple[str, ...] = (PAPER_TABLE,)
+    severity: Annotated[tuple[Annotated[int, Meta(ge=1, le=5)], ...], Meta(min_length=1)] = (3,)
     family: Family = "physical"
-    who: str = "all"
-    channels: _Names = (IDEAL,)
+    corrupted_agents: str = EVERYONE
+    channel: _Names = (IDEAL,)
+    loss: float | None = None
+    delay_s: float | None = None
+    pose_error: float | None = None
     clean_seeds: Seeds = 20
     seeds: Seeds = 10
     engine: Engine = "fused"
@@ -126,7 +138,12 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     @property
     def conditions(self) -> list[Condition]:
         """Clean, then every corruption at every severity."""
-        return conditions_of(self.corruptions, self.severities, (self.family,), self.who, "campaign")
+        return conditions_of(self.corruption, self.severity, (self.family,), self.corrupted_agents, "campaign")
+
+    @property
+    def radios(self) -> tuple[str, ...]:
+        """Radio channels with their changes."""
+        return changed_radios(self.channel, self.loss, self.delay_s, self.pose_error)
 
 
 def key_of(job: EpisodeJob) -> str:
@@ -144,11 +161,15 @@ def read_campaign(path: Path) -> Campaign:
     Raises:
         SettingsError: the file is invalid; one line names the field.
     """
-    plan = read_toml(path, Campaign, SettingsError, PLAN_NAMES)
+    plan = read_toml(path, Campaign, SettingsError, RENAMED)
 
     def found(name: str) -> str:
         beside = path.parent / name
         return str(beside if name and beside.exists() else name)
+
+    def found_trace(radio: Radio) -> str:
+        preset, _, file = radio.channel.partition(":")
+        return dataclasses.replace(radio, channel=f"{preset}:{found(file)}").label
 
     perceptions = []
     for one in plan.perceptions:
@@ -162,11 +183,12 @@ def read_campaign(path: Path) -> Campaign:
         found(name + ending) + variant if ending or (path.parent / name / "scenario.toml").is_file() else name
         for name, ending, variant in files
     )
-    radios = [name.partition(":") for name in plan.channels]
-    channels = tuple(name + colon + found(file) for name, colon, file in radios)
-    plan = replace(plan, perceptions=tuple(perceptions), scenarios=scenarios, channels=channels)
+    radios = [(Radio.parse(name), name) for name in plan.channel]
+    channels = tuple(found_trace(radio) if ":" in radio.channel else name for radio, name in radios)
+    plan = replace(plan, perceptions=tuple(perceptions), scenarios=scenarios, channel=channels)
     check(plan, str(path))
-    given = renamed(read_tables(path, SettingsError), PLAN_NAMES, path, SettingsError)
+    given = read_tables(path, SettingsError)
+    given |= {new: given[old] for old, new in RENAMED.items() if old in given}
     for field, expected in _without_effect(plan):
         if given.get(field) not in (None, [], [CLEAN], [IDEAL]):
             raise SettingsError(complaint(path, field, expected, f"{given[field]}"))
@@ -177,14 +199,15 @@ def _without_effect(plan: Campaign) -> Iterator[tuple[str, str]]:
     """Yield the fields that would change no episode of a plan, with what is expected of each."""
     no_sensor = all(one.kind in WITHOUT_SENSOR for one in plan.perceptions)
     if no_sensor or len(plan.conditions) == 1:
-        for field in ("seeds", "severities", "family", "who"):
+        for field in ("seeds", "severity", "family", "corrupted_agents"):
             yield field, f"none, since no episode is corrupted{': clean_seeds' if field == 'seeds' else ''}"
     if no_sensor:
-        yield "corruptions", "none, since no perception has a sensor"
+        yield "corruption", "none, since no perception has a sensor"
     if not any(_has_detector(one) for one in plan.perceptions):
         yield "engine", "none, since no perception has a detector"
     if not any(_has_helpers(one) for one in plan.perceptions):
-        yield "channels", "none, since no perception has helpers"
+        for field in _OF_RADIO:
+            yield field, "none, since no perception has helpers"
 
 
 def campaign_of(options: DriveOptions) -> Campaign:
@@ -206,8 +229,8 @@ def campaign_of(options: DriveOptions) -> Campaign:
     checkpoint = str(options.checkpoint or "")
     asked = [parse_perception(text) for text in options.perception or ("truth",)]
     if all(one.kind in WITHOUT_SENSOR for one in asked):
-        for field, values, bare in (("corruption", options.corruption, CLEAN), ("channel", options.radios, IDEAL)):
-            if set(values) - {bare}:
+        for field in ("corruption", *_OF_RADIO):
+            if given.get(field) not in (None, (CLEAN,), (IDEAL,)):
                 raise SettingsError(f"drive: perception '{asked[0].name}' has no sensor; leave out {option(field)}")
     for field, numbers, expected, fits in (
         ("severity", options.severity, "1 to 5", range(1, 6)),
@@ -230,28 +253,25 @@ def campaign_of(options: DriveOptions) -> Campaign:
     listed: dict[str, Any] = {
         "scenarios": [options.what],
         "name": options.what,
-        "corruptions": options.corruption or (CLEAN,),
-        "severities": options.severity or (3,),
-        "channels": options.radios or (IDEAL,),
+        "corruption": options.corruption or (CLEAN,),
         "clean_seeds": seeds,
         "seeds": seeds,
         "controls": False,
         "careful": False,
         "loop": loop,
-        **{name: given[name] for name in ("family", "who", "engine", "driver") if name in given},
+        **{name: given[name] for name in _AS_GIVEN if name in given},
     }
     plan = convert({**listed, "perceptions": msgspec.to_builtins(perceptions)}, Campaign, "drive", SettingsError)
     check(plan, "drive")
     for field, expected in _without_effect(plan):
-        value = {"channels": options.radios, "engine": options.engine}.get(field)
-        if value not in (None, (), (IDEAL,)):
-            raise SettingsError(complaint("drive", field.removesuffix("s"), expected, f"{value}"))
+        if field in (*_OF_RADIO, "engine") and given.get(field) not in (None, (IDEAL,)):
+            raise SettingsError(complaint("drive", field, expected, f"{given[field]}"))
     return plan
 
 
 def is_campaign(path: Path) -> bool:
     """Whether a TOML describes a campaign, not a scenario: it has a key, or nearly one, that no scenario has."""
-    own = ("perceptions", "scenarios", "seeds", "clean_seeds", "corruptions", "severities")
+    own = ("perceptions", "scenarios", "seeds", "clean_seeds", "corruptions", "severities", "corruption", "severity")
     try:
         keys = read_tables(path, SettingsError).keys() - set(Scenario.__struct_fields__)
         return any(get_close_matches(key, own, n=1, cutoff=0.8) for key in keys)
@@ -264,9 +284,9 @@ def check(plan: Campaign, where: str) -> None:
     for field, names in (
         ("scenarios", list(plan.scenarios)),
         ("perceptions", [one.name for one in plan.perceptions]),
-        ("corruptions", list(plan.corruptions)),
-        ("severities", list(map(str, plan.severities))),
-        ("channels", list(plan.channels)),
+        ("corruption", list(plan.corruption)),
+        ("severity", list(map(str, plan.severity))),
+        ("channel", list(plan.channel)),
         ("clean_seeds", [] if isinstance(plan.clean_seeds, int) else list(map(str, plan.clean_seeds))),
         ("seeds", [] if isinstance(plan.seeds, int) else list(map(str, plan.seeds))),
     ):
@@ -277,13 +297,13 @@ def check(plan: Campaign, where: str) -> None:
         if not one.name.strip() or set("|\n") & set(one.name):
             expected = "a name, without | and line ends"
             raise SettingsError(complaint(where, "perceptions.name", expected, f"'{one.name}'"))
-    conditions_of(plan.corruptions, plan.severities, (plan.family,), plan.who, where)
+    conditions_of(plan.corruption, plan.severity, (plan.family,), plan.corrupted_agents, where)
     if plan.loop.look_ahead_s and not any(_has_detector(one) for one in plan.perceptions):
         expected = f"0 with perception '{plan.perceptions[0].name}', which has no detector whose range could be shifted"
         raise SettingsError(complaint(where, "look_ahead_s", expected, f"{plan.loop.look_ahead_s:g}"))
     for scenario in plan.scenarios:
         load_scenario(scenario)
-    for channel in plan.channels:
+    for channel in plan.radios:
         get_channel(channel)
     for one in plan.perceptions:
         if one.kind in WITHOUT_SENSOR and one.checkpoint:
@@ -293,7 +313,7 @@ def check(plan: Campaign, where: str) -> None:
             raise SettingsError(complaint(where, f"perceptions.{one.name}.checkpoint", "a file", one.checkpoint))
         if one.kind == MODELLED:
             for condition in plan.conditions:
-                for channel in plan.channels:
+                for channel in plan.radios:
                     open_perception(
                         MODELLED,
                         checkpoint=Path(one.checkpoint) if one.checkpoint else None,
@@ -310,7 +330,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
     code, versions = code_hash(COMPUTED_BY), package_versions(COMPUTED_BY)
     hashes = {one.name: detector_hash(one.kind, one.checkpoint) for one in plan.perceptions}
     helped = {one.name: _has_helpers(one) for one in plan.perceptions}
-    radios = {name: channel_settings(get_channel(name)) for name in plan.channels}
+    radios = {name: get_channel(name).decisive() for name in plan.radios}
     found = []
     for scenario in plan.scenarios:
         loaded = load_scenario(scenario)
@@ -348,6 +368,16 @@ def _files_of(scenario: Scenario) -> dict[str, str]:
     return {name: file_sha256(path) for name, path in paths.items() if path.is_absolute() and path.is_file()}
 
 
+def late_messages(plan: Campaign) -> Iterator[tuple[str, float, float]]:
+    """Yield name, delay, s, and age at the detection, s, of channels whose messages wait for the next detection."""
+    if any(_has_helpers(one) for one in plan.perceptions):
+        for name in plan.radios:
+            delay_s = get_channel(name).delay_s
+            age_s = math.ceil(delay_s / plan.loop.detect_every_s - 1e-6) * plan.loop.detect_every_s
+            if age_s > delay_s + 1e-9:
+                yield name, delay_s, age_s
+
+
 def controls_of(plan: Campaign) -> Campaign | None:
     """Return the campaign of the controls of all encounters with the truth; None without an encounter."""
     shipped = [name for name in plan.scenarios if name.partition(":")[0] in ENCOUNTERS]
@@ -358,8 +388,8 @@ def controls_of(plan: Campaign) -> Campaign | None:
         plan,
         scenarios=tuple(f"{name}:{control}" for name in bare for control in CONTROLS),
         perceptions=(PerceptionSpec(name="truth"),),
-        corruptions=(CLEAN,),
-        channels=(IDEAL,),
+        corruption=(CLEAN,),
+        **_IDEAL_RADIO,
         clean_seeds=_driven(plan),
         controls=False,
     )
@@ -371,8 +401,8 @@ def careful_of(plan: Campaign) -> Campaign:
     return replace(
         plan,
         perceptions=(PerceptionSpec(name="truth"),),
-        corruptions=(CLEAN,),
-        channels=(IDEAL,),
+        corruption=(CLEAN,),
+        **_IDEAL_RADIO,
         clean_seeds=seeds,
         seeds=seeds,
         driver="careful",
@@ -395,7 +425,7 @@ def _cells(plan: Campaign, one: PerceptionSpec, seed: int, helped: bool) -> Iter
         wanted = _listed(plan.clean_seeds if clean else plan.seeds)
         if seed not in wanted or (one.kind in WITHOUT_SENSOR and not clean):
             continue
-        yield from ((condition, channel) for channel in (plan.channels if helped else plan.channels[:1]))
+        yield from ((condition, channel) for channel in (plan.radios if helped else plan.radios[:1]))
 
 
 def _has_detector(one: PerceptionSpec) -> bool:

@@ -301,7 +301,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
     asked = options.perception or options.corruption or radios
     corruption = (options.corruption or (CLEAN if asked else settings.corruption,))[0]
     if corruption == CLEAN:
-        for field in ("severity", "who", "family"):
+        for field in ("severity", "corrupted_agents", "family"):
             if getattr(options, field):
                 raise SettingsError(f"drive: {option(field)} says how sensors are corrupted; add --corruption")
     severity = (options.severity or (settings.severity or DEFAULT_SEVERITY,))[0]
@@ -309,7 +309,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         corruption,
         severity,
         options.family or settings.family,
-        options.who or settings.who,  # type: ignore[arg-type]
+        options.corrupted_agents or settings.who,  # type: ignore[arg-type]
     )
     used: dict[str, Any] = {
         "channel": (radios or (IDEAL if asked else settings.channel,))[0],

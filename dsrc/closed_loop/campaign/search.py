@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from msgspec.structs import replace
 
 from dsrc.closed_loop.campaign.critical import CriticalValue, critical_value
 from dsrc.closed_loop.campaign.episode import DRIVERS
@@ -17,7 +16,7 @@ from dsrc.closed_loop.types import Outcome, Perception
 from dsrc.tables.table import Column, Table, TableRow
 from sensors.corruptions import CLEAN, SEVERITIES, Condition
 from sim.errors import SettingsError, complaint, option
-from sim.radio import get_channel
+from sim.radio import Radio
 
 Quantity = Literal["severity", "delay_s", "loss"]
 
@@ -127,8 +126,8 @@ def _single(plan: Campaign, kind: str, quantity: Quantity) -> tuple[PerceptionSp
     counts = {
         "perception": len(plan.perceptions),
         "seed": len(_seeds(plan)),
-        "channel": len(plan.channels),
-        "severity": 1 if kind == CLEAN else len(plan.severities),
+        "channel": len(plan.radios),
+        "severity": 1 if kind == CLEAN else len(plan.severity),
     }
     for field, count in counts.items():
         if count > 1:
@@ -141,18 +140,16 @@ def _single(plan: Campaign, kind: str, quantity: Quantity) -> tuple[PerceptionSp
 
 
 def _perception(plan: Campaign, one: PerceptionSpec, kind: str, quantity: Quantity, value: float) -> Perception:
-    radio, severity = get_channel(plan.channels[0]), plan.severities[0]
-    if quantity == "delay_s":
-        radio = replace(radio, name=f"{radio.name}, {value:g} s later", delay_s=value)
-    elif quantity == "loss":
-        radio = replace(radio, name=f"{radio.name}, {value:g} lost", packet_loss=value)
-    else:
+    radio, severity = Radio.parse(plan.radios[0]), plan.severity[0]
+    if quantity == "severity":
         severity = round(value)
+    else:
+        radio = radio.changed(**{quantity: value})
     return open_perception(
         one.kind,
         checkpoint=Path(one.checkpoint) if one.checkpoint else None,
-        corruption=Condition.of(kind if severity else CLEAN, severity, plan.family, plan.who),
-        channel=radio,
+        corruption=Condition.of(kind if severity else CLEAN, severity, plan.family, plan.corrupted_agents),
+        channel=radio.label,
         interval_s=plan.loop.detect_every_s,
         look_ahead_s=plan.loop.look_ahead_s,
         engine=plan.engine,

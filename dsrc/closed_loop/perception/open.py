@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, cast
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Perception
 from dsrc.data.sample import DetectorSettings, SampleDetector, SampleRequest
-from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, Family, Who
+from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, CorruptedAgents, Family
 from sim.boxes import CLASSES, VEHICLES
 from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
 from sim.kept.code_hash import sources_hash
@@ -50,13 +50,13 @@ def open_perception(
     corruption: str | Condition = CLEAN,
     severity: int = DEFAULT_SEVERITY,
     family: Family = "physical",
-    corrupted_agents: Who | str = EVERYONE,
+    corrupted_agents: CorruptedAgents | str = EVERYONE,
     channel: str | ChannelSpec = IDEAL,
     interval_s: float = 0.1,
     look_ahead_s: float = 0.0,
     engine: str = "fused",
     device: Literal["cpu", "cuda"] = "cpu",
-    who: Who | str | None = None,
+    who: CorruptedAgents | str | None = None,
 ) -> Perception:
     """Return a perception by name.
 

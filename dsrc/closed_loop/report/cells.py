@@ -8,7 +8,7 @@ from dsrc.closed_loop.metrics.comparison import collided, counted, metric
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, rate
 from dsrc.closed_loop.types import Outcome
 from dsrc.tables.table import Column
-from sensors.corruptions import CLEAN
+from sim.radio import IDEAL
 
 COLUMNS = tuple(map(Column, ("episodes", "crashed", "at fault", "stuck", "lost", "failed", "score", "progress")))
 """Columns of `condition_cells`."""
@@ -25,9 +25,7 @@ def groups(results: Sequence[EpisodeResult]) -> list[tuple[str, str, list[Episod
 
 def condition(one: EpisodeResult) -> str:
     """Return the title of an episode's corruption and channel."""
-    text = CLEAN if one.corruption == CLEAN else f"{one.corruption.replace('_', ' ')} {one.severity}"
-    text += "" if one.who == "all" else f", {one.who}"
-    return text if one.channel == "ideal" else f"{text}, {one.channel}"
+    return one.condition.label if one.channel == IDEAL else f"{one.condition.label}, {one.channel}"
 
 
 def condition_cells(group: Sequence[EpisodeResult]) -> tuple[str, ...]:

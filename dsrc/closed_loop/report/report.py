@@ -115,13 +115,13 @@ def _plots(result: CampaignResult) -> "dict[str, Callable[[], Figure]]":
 
     common, apart = parts_of(result)
     plan, every = result.plan, common or apart
-    severity = plan.severities[len(plan.severities) // 2]
-    one_channel = [one for one in every if one.channel == plan.channels[0]]
+    severity = plan.severity[len(plan.severity) // 2]
+    one_channel = [one for one in every if one.channel == plan.radios[0]]
     shown = [one for one in one_channel if one.corruption == CLEAN or one.severity == severity]
     plots: dict[str, Callable[[], Figure]] = {"collisions": partial(collision_and_score, shown, title=plan.name)}
     if any(one.corruption != CLEAN for one in shown):
         plots["corruptions"] = partial(deadly_corruptions, shown)
-    if len(plan.severities) > 1:
+    if len(plan.severity) > 1:
         plots["severities"] = partial(rate_over_severity, one_channel)
     clean = [one for one in every if one.corruption == CLEAN]
     quantities = {"delay, s": _delay_s, "lost packets": _loss}

@@ -60,7 +60,7 @@ _PAIRED = (
 def tables(result: CampaignResult) -> dict[str, Table]:
     """Tables that a campaign has results for, by name."""
     common, apart = parts_of(result)
-    first = result.plan.channels[0]
+    first = result.plan.radios[0]
     of_first = [[one for one in part if one.channel == first] for part in (common, apart)]
     found = [
         _all_scenarios(result, common),
@@ -75,7 +75,7 @@ def tables(result: CampaignResult) -> dict[str, Table]:
         _worst(result),
         _controls(result),
     ]
-    through = f" Through the channel `{first}`." if len(result.plan.channels) > 1 else ""
+    through = f" Through the channel `{first}`." if len(result.plan.radios) > 1 else ""
     return {
         one.name: replace(one, note=one.note + through) if one.name in _OF_ONE_CHANNEL else one
         for one in found

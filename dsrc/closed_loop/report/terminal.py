@@ -42,8 +42,7 @@ def _eyes(log: EpisodeLog, with_driver: bool) -> str:
     """Return the perception of a log, its corruption and channel, and on request its driver."""
     settings = log.settings
     text = parse_perception(settings.perception).name
-    text += "" if settings.corruption == CLEAN else f" in {settings.corruption} {settings.severity}"
-    text += "" if settings.who == "all" else f" of {settings.who}"
+    text += "" if settings.corruption == CLEAN else f" in {settings.condition.label}"
     text += "" if settings.channel == IDEAL else f", {settings.channel}"
     return f"{text}, {settings.driver}" if with_driver else text
 

@@ -73,8 +73,8 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
             of other settings.
     """
     data, out = Path(options.data), Path(options.out).resolve()
-    if options.who != EVERYONE:
-        raise SettingsError("corrupt: a scan is of one sensor; leave out --who")
+    if options.corrupted_agents != EVERYONE:
+        raise SettingsError("corrupt: a scan is of one sensor; leave out --corrupted-agents")
     if options.sensor is not None:
         get_lidar(options.sensor)
     if not data.is_dir():

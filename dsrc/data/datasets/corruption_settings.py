@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from dsrc.options.drives import CorruptOptions
-from sensors.corruptions import DEFAULT_SEVERITY, EVERYONE, Condition, drive_seed, parse_who, settings_of
+from sensors.corruptions import DEFAULT_SEVERITY, EVERYONE, Condition, drive_seed, parse_agents, settings_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def run_condition(options: CorruptOptions) -> Condition:
     family, _ = settings_of(options.corruption, options.severity, options.family, options.preset)
     level = DEFAULT_SEVERITY if options.severity is None else options.severity
     changes = tuple(map(_change, options.set))
-    made = Condition(options.corruption, level, family, parse_who(options.who), changes, options.preset)
+    made = Condition(options.corruption, level, family, parse_agents(options.corrupted_agents), changes, options.preset)
     made.resolved("corrupt: set")
     return made.checked()
 

@@ -31,7 +31,7 @@ class DatasetResults:
         family: of the corruptions.
         starts: initial weights of the trainings by method, where known.
         notes: footnotes.
-        who: agents whose sweeps are corrupted.
+        corrupted_agents: agents whose sweeps are corrupted.
     """
 
     dataset: str
@@ -42,31 +42,32 @@ class DatasetResults:
     family: Family = "physical"
     starts: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[Footnote, ...] = ()
-    who: str = EVERYONE
+    corrupted_agents: str = EVERYONE
 
     @classmethod
     def of(cls, result: BenchmarkResult, dataset: str, family: Family | None = None) -> "DatasetResults":
         """Select the results of a dataset and a family, by default the first."""
         plan = result.plan
-        family = family or plan.families[0]
+        family = family or plan.family[0]
         rows = (entry for entry in result.entries if entry.case.dataset == dataset)
         return cls(
             dataset,
             result.trained,
             tuple(entry for entry in rows if entry.case.condition.family == family or _is_clean(entry)),
-            PAPER_SEVERITY if PAPER_SEVERITY in plan.severities or not plan.severities else plan.severities[0],
-            IDEAL if IDEAL in plan.channels else plan.channels[0],
+            PAPER_SEVERITY if PAPER_SEVERITY in plan.severity or not plan.severity else plan.severity[0],
+            IDEAL if IDEAL in plan.channel else plan.channel[0],
             family,
             {method.name: method.start for method in plan.methods if method.start},
             plan.notes,
-            plan.who,
+            plan.corrupted_agents,
         )
 
     @property
     def titled(self) -> str:
         """Title of the dataset; it marks published corruptions, and those of some agents alone."""
         published = "" if self.family == "physical" else ", corruptions as published"
-        return f"{self.dataset}{published}{'' if self.who == EVERYONE else f', corrupted: {self.who}'}"
+        some = "" if self.corrupted_agents == EVERYONE else f", corrupted: {self.corrupted_agents}"
+        return f"{self.dataset}{published}{some}"
 
     @property
     def level(self) -> str:

@@ -137,7 +137,7 @@ def _difference_tables(result: BenchmarkResult) -> dict[tuple[str, Family], Diff
     return {
         (dataset, family): difference_table(DatasetResults.of(result, dataset, family), plan.differences, frames)
         for dataset, frames in result.frames.items()
-        for family in plan.families
+        for family in plan.family
     }
 
 
@@ -194,8 +194,8 @@ def _dataset(
     Names of the second family of corruptions end in the family; those of clean frames exist once.
     """
     plan, writer = result.plan, SectionWriter(folder, made_by)
-    views = {family: DatasetResults.of(result, dataset, family) for family in plan.families}
-    first = views[plan.families[0]]
+    views = {family: DatasetResults.of(result, dataset, family) for family in plan.family}
+    first = views[plan.family[0]]
     styles = styles_of(list(first.trained))
     # Variants in use have another's weights and almost its place in a figure.
     trained = [name for name, several in first.trained.items() if not several[0].use]
@@ -204,9 +204,9 @@ def _dataset(
         sheet = table_1(results)
         writer.table(sheet, table_heatmap(sheet), suffix)
         writer.table(table_1(results, opencood=True), suffix=suffix)
-        if len(plan.severities) > 1 and results.kinds():
-            sheet = severity_table(results, sorted(plan.severities))
-            places = [0, *sorted(plan.severities)]
+        if len(plan.severity) > 1 and results.kinds():
+            sheet = severity_table(results, sorted(plan.severity))
+            places = [0, *sorted(plan.severity)]
             writer.table(sheet, table_lines(sheet, "severity, 0 for clean", places, styles), suffix)
         if family in tables:
             _write_differences(writer, tables[family], f"differences{suffix}", one_pair=len(plan.differences) == 1)

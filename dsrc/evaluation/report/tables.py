@@ -124,9 +124,7 @@ def axes_of(result: BenchmarkResult) -> list[SweepAxis]:
     ):
         shown = sorted({0.0, *values}) if values else []
         axes.append(SweepAxis(name, title, label, tuple((f"{v:g}", {**still, name: v}) for v in shown)))
-    axes.append(
-        SweepAxis("channels", "Channels", "channel", tuple((name, {"channel": name}) for name in plan.channels))
-    )
+    axes.append(SweepAxis("channels", "Channels", "channel", tuple((name, {"channel": name}) for name in plan.channel)))
     return [axis for axis in axes if len(axis.values) > 1]
 
 

@@ -8,7 +8,7 @@ import msgspec
 
 from dsrc.data.drives import Drive, drive_hashes, list_drives, open_drive
 from dsrc.evaluation.cells import CellJob
-from dsrc.evaluation.conditions import channel_settings, check_numbers
+from dsrc.evaluation.config import check_numbers
 from dsrc.evaluation.detect import frame_positions
 from dsrc.evaluation.runner import check_device
 from dsrc.evaluation.sharing.cells import (
@@ -60,10 +60,12 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
     Raises:
         UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
     """
-    check_numbers("shares", config.seed, config.limit)
+    check_numbers("shares", config.seed, config.frames)
     check_iou(config.iou)
     check_device("shares", config.device)
-    conditions = conditions_of(config.corruptions, (config.severity,), (config.family,), config.who, "shares")
+    conditions = conditions_of(
+        config.corruption, (config.severity,), (config.family,), config.corrupted_agents, "shares"
+    )
     detector = load_student(config.checkpoint, config.device, config.engine)  # a wrong one before anything is written
     readers = [open_drive(path) for path in list_drives(config.data)]
     names = [reader.drive.name for reader in readers]
@@ -73,7 +75,7 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
     with locked(config.out, what="folder of shares"):
         by_drive = [
             list(_jobs(reader, positions, conditions, config, FUSIONS[detector.settings.fusion]))
-            for reader, positions in zip(readers, frame_positions(readers, config.limit), strict=True)
+            for reader, positions in zip(readers, frame_positions(readers, config.frames), strict=True)
         ]
         jobs = {job.settings.key: job for own in by_drive for job in own}
         SHARES.run(folder, jobs, pool, progress, config.reuse)
@@ -112,7 +114,7 @@ def _jobs(
                 versions=versions_with(make_share_cells.__module__, fusion),
                 code=code_hash(make_share_cells.__module__),
                 condition=condition.decisive(),
-                channel=None if channel is None else channel_settings(channel),
+                channel=None if channel is None else channel.decisive(),
                 iou=config.iou,
             )
             yield CellJob(settings, config.checkpoint, reader.drive, condition, None, channel)
@@ -126,7 +128,7 @@ def _read(folder: Path, jobs: Iterable[CellJob]) -> Iterator[ShareRow]:
 def frames_looked_at(config: Sharing) -> int:
     """Number of frames under each condition of `share_drives`; those without any box have no row."""
     readers = [open_drive(path) for path in list_drives(config.data)]
-    return sum(map(len, frame_positions(readers, config.limit)))
+    return sum(map(len, frame_positions(readers, config.frames)))
 
 
 def stored_drives(data: Path) -> tuple[StoredDrive, ...]:
@@ -143,6 +145,7 @@ def provenance_of(config: Sharing) -> dict[str, Any]:
     without = {"out", "reuse", *changes}  # an unchanged channel is listed as before there were changes
     fields = {name: getattr(config, name) for name in Sharing.__struct_fields__ if name not in without}
     settings = msgspec.to_builtins(fields, enc_hook=str)
+    settings["who"] = settings.pop("corrupted_agents")  # its name in files
     settings["data"], settings["checkpoint"] = config.data.name, config.checkpoint.name
     settings["sha256"] = file_sha256(config.checkpoint)
     made_by = provenance(settings, config.seed, drive_hashes(list_drives(config.data)))

@@ -183,7 +183,17 @@ def first_unknown(model: Judgements, state: ReviewState, step: int) -> int | Non
 
 
 _FIELDS = (
-    *("drive", "ego_id", "cooperative", "methods", "corruption", "severity", "family", "parameters", "who"),
+    *(
+        "drive",
+        "ego_id",
+        "cooperative",
+        "methods",
+        "corruption",
+        "severity",
+        "family",
+        "parameters",
+        "corrupted_agents",
+    ),
     *("threshold", "iou", "listed", "versus", "error_method", "error_class", "error_range", "error_seen_by"),
 )
 

@@ -198,7 +198,7 @@ def first_state(model: ReviewModel, options: ServeOptions) -> ReviewState:
         corruption=options.corruption,
         severity=options.severity,
         family=options.family,
-        who=options.who,
+        corrupted_agents=options.corrupted_agents,
     )
     last = model.frame_count(0) - 1
     if not 0 <= options.frame <= last:
@@ -231,7 +231,7 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
         SettingsError: the corruption or the frame is unknown, or the port taken.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    Condition.of(options.corruption, options.severity, options.family, options.who).checked()
+    Condition.of(options.corruption, options.severity, options.family, options.corrupted_agents).checked()
     port = checked_port(options.host, options.port)
     model = open_model(options.data, options.checkpoint, options.drives)
     start = first_state(model, options)

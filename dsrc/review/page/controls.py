@@ -138,7 +138,11 @@ def _corruptible(shown: Shown) -> dict[str, Any]:
     agents = () if shown.view is None else shown.view.agents
     named = {"all agents": EVERYONE, "the ego": "ego", "the helpers": "helpers"}
     named |= {f"{agent.title} alone": str(agent.agent_id) for agent in agents}
-    return named if shown.state.who in named.values() else {**named, shown.state.who: shown.state.who}
+    return (
+        named
+        if shown.state.corrupted_agents in named.values()
+        else {**named, shown.state.corrupted_agents: shown.state.corrupted_agents}
+    )
 
 
 def _last_frame(shown: Shown) -> float:
@@ -196,7 +200,14 @@ CONTROLS: tuple[Control, ...] = (
     Control("corruption", Choice(_same(CLEAN, *CORRUPTIONS)), "Corruption", "Corruption lab", link="corruption"),
     Control("severity", Slider(1, 5, 1), "Severity", "Corruption lab", link="severity", enabled=_corrupted),
     Control("family", Choice(_same(*FAMILIES)), "Settings", "Corruption lab", link="family", enabled=_corrupted),
-    Control("who", Choice(_corruptible, closed=False), "Agents", "Corruption lab", link="who", enabled=_corrupted),
+    Control(
+        "corrupted_agents",
+        Choice(_corruptible, closed=False),
+        "Agents",
+        "Corruption lab",
+        link="who",
+        enabled=_corrupted,
+    ),
     Control("parameters", None, link="parameters"),
     Control("sensor", Choice(_sensors), "Sensor", "Sensor lab", link="sensor"),
     Control("carrier", Choice(_carriers, closed=False), "Carrier", "Sensor lab", link="carrier", enabled=_senses),

@@ -17,7 +17,7 @@ from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
-from sensors.corruptions import CLEAN, Changes, Condition, parse_who
+from sensors.corruptions import CLEAN, Changes, Condition, parse_agents
 from sim.errors import SettingsError, complaint
 
 VIEW = "view"
@@ -121,8 +121,8 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
     if control.field == "parameters":
         return _parameters(text, shown.state)
     value = _parsed(control, text)
-    if control.field == "who":
-        parse_who(value)
+    if control.field == "corrupted_agents":
+        parse_agents(value)
     if control.field == "versus" and value == CLEAN != shown.state.corruption:
         return _DEFAULTS["versus"]
     widget = control.widget

@@ -49,9 +49,10 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
 
 def test_a_picture_shows_what_options_and_link_say(data: Path, drawn: list[tuple], tmp_path: Path) -> None:
     out = {"picture": tmp_path / "p.png", "animation": tmp_path / "a.gif"}
-    View(data=data, frame=1, corruption="fog", severity=4, who="ego", link="iou=0.7", **out).run()
+    View(data=data, frame=1, corruption="fog", severity=4, corrupted_agents="ego", link="iou=0.7", **out).run()
     for state, _ in drawn:
-        assert (state.frame, state.corruption, state.severity, state.who, state.iou) == (1, "fog", 4, "ego", 0.7)
+        assert (state.frame, state.corruption, state.severity, state.iou) == (1, "fog", 4, 0.7)
+        assert state.corrupted_agents == "ego"
     assert list(drawn[1][1]) == [1, 2], "an animation begins at the frame that was asked for"
     View(data=data, severity=4, link="drive=b&frame=1&corruption=fog", picture=tmp_path / "p.png").run()
     state, _ = drawn[-1]
@@ -70,7 +71,10 @@ def test_a_picture_shows_what_options_and_link_say(data: Path, drawn: list[tuple
         ({"frames": 7}, "--frames is of pages and animations; add --out"),
         ({"picture": "p.png", "frames": 7}, "--frames is of pages and animations; add --out"),
         ({"picture": "p.png", "host": "0.0.0.0"}, "a picture is drawn without a server; leave out --host"),
-        ({"picture": "p.png", "who": "ego"}, "--who says how sensors are corrupted; add --corruption"),
+        (
+            {"picture": "p.png", "corrupted_agents": "ego"},
+            "--corrupted-agents says how sensors are corrupted; add --corruption",
+        ),
         ({"picture": "p.png", "frame": 2, "link": "frame=1"}, "the link says otherwise; leave out --frame"),
         ({"picture": "p.png", "frame": 2, "link": "drive=b"}, "the link says otherwise; leave out --frame"),
         ({"picture": "p.png", "frame": 3}, "frame: expected 0 to 2, found 3"),

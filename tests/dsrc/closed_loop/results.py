@@ -12,7 +12,7 @@ PLAN = Campaign(
         PerceptionSpec(name="alone", uses="ego"),
         PerceptionSpec(name="together", uses="team"),
     ),
-    corruptions=("clean", "fog", "snow"),
+    corruption=("clean", "fog", "snow"),
 )
 
 
@@ -24,7 +24,7 @@ def one(perception: str, seed: int, outcome: str, corruption: str = "clean", **m
         corruption=corruption,
         severity=0 if corruption == "clean" else 3,
         family="",
-        who="all",
+        corrupted_agents="all",
         channel="ideal",
         seed=seed,
         road_user=more.pop("road_user", "car"),

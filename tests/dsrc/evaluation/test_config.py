@@ -7,20 +7,20 @@ import pytest
 
 from dsrc.evaluation.config import Benchmark, available, cases_of, plan_of, read_benchmark
 from dsrc.options.detection import BenchmarkOptions
-from dsrc.options.fields import PLAN_NAMES
+from dsrc.options.fields import RENAMED
 from dsrc.training.recipes import METHODS
 from sensors.corruptions import Condition
-from sim.errors import SettingsError
+from sim.errors import DeprecatedName, SettingsError
 from tests.paths import ROOT
 
 SHIPPED = ROOT / "studies/dsrc_paper/benchmark.toml"
 
 GOOD = """
 name = "small"
-corruptions = ["fog", "snow"]
-severities = [1, 3]
-channels = ["ideal", "its-g5-6"]
-limit = 10
+corruption = ["fog", "snow"]
+severity = [1, 3]
+channel = ["ideal", "its-g5-6"]
+frames = 10
 
 [[methods]]
 name = "DSRC"
@@ -47,15 +47,17 @@ def written(tmp_path: Path, text: str = GOOD) -> Path:
     return path
 
 
-def test_a_file_has_the_names_of_the_options_or_those_of_before(tmp_path: Path) -> None:
+def test_a_file_with_former_names_is_read_and_they_are_told(tmp_path: Path) -> None:
     plan = read_benchmark(written(tmp_path))
     text = GOOD
-    for name, field in PLAN_NAMES.items():
-        text = text.replace(f"\n{field} = ", f"\n{name} = ")
+    for former, name in RENAMED.items():
+        text = text.replace(f"\n{name} = ", f"\n{former} = ")
     assert text != GOOD
-    assert read_benchmark(written(tmp_path, text)) == plan
-    with pytest.raises(SettingsError, match="corruption and corruptions are the same; leave out corruptions"):
-        read_benchmark(written(tmp_path, 'corruption = ["fog"]\n' + GOOD))
+    with pytest.warns(DeprecatedName) as told:
+        assert read_benchmark(written(tmp_path, text)) == plan
+    assert len(told) == 4 and "benchmark.toml: limit is deprecated" in "".join(str(one.message) for one in told)
+    with pytest.raises(SettingsError, match="corruptions and corruption are the same; leave out corruptions"):
+        read_benchmark(written(tmp_path, 'corruptions = ["fog"]\n' + GOOD))
 
 
 def test_rows_are_the_product_and_the_sweeps(tmp_path: Path) -> None:
@@ -92,22 +94,24 @@ text = "Old."
 
 
 def test_who_is_corrupted_is_part_of_every_condition(tmp_path: Path) -> None:
-    text = GOOD.replace('name = "small"', 'name = "small"\nwho = "helpers"')
+    text = GOOD.replace('name = "small"', 'name = "small"\ncorrupted_agents = "helpers"')
     plan = read_benchmark(written(tmp_path, text))
     assert {case.condition.agents for case in cases_of(plan) if case.condition.kind != "clean"} == {"helpers"}
-    options = BenchmarkOptions(checkpoints=("c.pt",), data=("data",), who="1002,-1")
-    assert plan_of(options).who == "1002,-1"
+    options = BenchmarkOptions(checkpoint=("c.pt",), data=("data",), corrupted_agents="1002,-1")
+    assert plan_of(options).corrupted_agents == "1002,-1"
     for who, message in (
-        ("helper", "who: expected all, ego, helpers or ids"),
+        ("helper", "corrupted_agents: expected all, ego, helpers or ids"),
         ("ego", "pose_error.* expected helpers"),
     ):
-        wrong = GOOD.replace('name = "small"', f'name = "small"\nwho = "{who}"').replace('"snow"]', '"pose_error"]')
+        wrong = GOOD.replace('name = "small"', f'name = "small"\ncorrupted_agents = "{who}"').replace(
+            '"snow"]', '"pose_error"]'
+        )
         with pytest.raises(SettingsError, match=message):
             read_benchmark(written(tmp_path, wrong))
 
 
 def test_both_families_are_run_and_clean_frames_once(tmp_path: Path) -> None:
-    text = GOOD.replace('name = "small"', 'name = "small"\nfamilies = ["physical", "paper"]')
+    text = GOOD.replace('name = "small"', 'name = "small"\nfamily = ["physical", "paper"]')
     plan = read_benchmark(written(tmp_path, text))
     conditions = {case.condition for case in cases_of(plan) if case.method == "Late"}
     corrupted = {
@@ -120,10 +124,10 @@ def test_both_families_are_run_and_clean_frames_once(tmp_path: Path) -> None:
     lacking = text.replace('"snow"]', '"spray"]')
     with pytest.raises(SettingsError, match=r"corruptions: .*spray"):
         read_benchmark(written(tmp_path, lacking))
-    options = BenchmarkOptions(checkpoints=("c.pt",), data=("data",), family="paper")
-    assert plan_of(options).families == ("paper",)
+    options = BenchmarkOptions(checkpoint=("c.pt",), data=("data",), family=("paper",))
+    assert plan_of(options).family == ("paper",)
     with pytest.raises(SettingsError, match="leave out --family"):
-        plan_of(BenchmarkOptions(plan=written(tmp_path), family="paper"))
+        plan_of(BenchmarkOptions(plan=written(tmp_path), family=("paper",)))
 
 
 def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path: Path) -> None:
@@ -144,12 +148,16 @@ def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path: Path) -
         ("[sweeps]", PAIR.replace('baseline = "Late"', 'baseline = "DSRC"'), ["differences[0].baseline", "another"]),
         ("[sweeps]", PAIR.partition("[[notes]]")[0] + PAIR, ["differences[1]", "DSRC and Late again"]),
         ("[sweeps]", PAIR.replace('"Late", "DSRC"]', '"Lte"]'), ["notes.methods", "Lte", "did you mean 'Late'"]),
-        ("limit = 10", 'families = ["paper", "paper"]', ["families", "names that differ", "paper"]),
+        ("frames = 10", 'family = ["paper", "paper"]', ["family", "names that differ", "paper"]),
         ('"snow"]', '"snwo"]', ["corruptions", "snwo", "did you mean 'snow'"]),
-        ("severities = [1, 3]", "severities = [6]", ["severity", "1 to 5", "6"]),
-        ("severities = [1, 3]", "severities = []", ["severities", "at least one", "none"]),
-        ("severities = [1, 3]", 'severities = [1]\nwho = "me"', ["who", "all, ego, helpers", "me"]),
-        ("severities = [1, 3]", "severities = [3, 3]", ["severities", "names that differ", "3"]),
+        ("severity = [1, 3]", "severity = [6]", ["severity", "1 to 5", "6"]),
+        ("severity = [1, 3]", "severity = []", ["severity", "at least one", "none"]),
+        (
+            "severity = [1, 3]",
+            'severity = [1]\ncorrupted_agents = "me"',
+            ["corrupted_agents", "all, ego, helpers", "me"],
+        ),
+        ("severity = [1, 3]", "severity = [3, 3]", ["severity", "names that differ", "3"]),
         ('"its-g5-6"]', '"its-g5-7"]', ["channel", "its-g5-7", "did you mean"]),
         ('name = "Late"', 'name = "DSRC"', ["methods", "names that differ", "DSRC"]),
         ('name = "Late"', 'nam = "Late"', ["methods[1]", "nam", "did you mean 'name'"]),
@@ -157,16 +165,16 @@ def test_differences_and_notes_of_missing_methods_are_left_out(tmp_path: Path) -
         ('["c.pt"]', '["c.pt"]\nuse = {shar = 0.1}', ["methods.Late.use", "shar", "did you mean 'share'"]),
         ('["c.pt"]', '["c.pt"]\nuse = {share = "a"}', ["methods.Late.use.share", "expected float", "found a"]),
         ('["c.pt"]', '["c.pt"]\nuse = {nms_iou = -3}', ["methods.Late.use.nms_iou", ">= 0.0", "found -3"]),
-        ("limit = 10", "limit = 0", ["limit", "at least 1 frame"]),
-        ("limit = 10", 'limit = "ten"', ["limit", "int", "ten"]),
-        ("limit = 10", "seed = -1", ["seed", "at least 0"]),
+        ("frames = 10", "frames = 0", ["frames", "at least 1"]),
+        ("frames = 10", 'frames = "ten"', ["frames", "int", "ten"]),
+        ("frames = 10", "seed = -1", ["seed", "at least 0"]),
         ('methods = ["DSRC"]', 'methods = ["DSCR"]', ["sweeps.methods", "DSCR", "did you mean 'DSRC'"]),
         ("agents = [1, 2]", "agents = [0]", ["sweeps.agents[0]", ">= 1"]),
         ("agents = [1, 2]", "loss = [1.5]", ["sweeps.loss[0]", "<= 1"]),
         ("[sweeps]", "[sweep]", ["sweep", "did you mean 'sweeps'"]),
         ("[[datasets]]", "[[data]]", ["data", "did you mean 'datasets'"]),
         ('name = "small"', 'name = "small', ["not a readable TOML file"]),
-        ('name = "small"', 'families = ["papers"]', ["families[0]", "papers"]),
+        ('name = "small"', 'family = ["papers"]', ["family[0]", "papers"]),
         ('"snow"]', '"snwo"]', ["toml: corruptions: expected a corruption"]),
     ],
 )
@@ -188,26 +196,26 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_flags_say_the_same_as_a_file(tmp_path: Path) -> None:
     plan = plan_of(
         BenchmarkOptions(
-            checkpoints=("DSRC=a.pt", "DSRC=b.pt", "Late=c.pt"),
+            checkpoint=("DSRC=a.pt", "DSRC=b.pt", "Late=c.pt"),
             data=("test=data",),
-            corruptions=("fog", "snow"),
-            severities=(1, 3),
-            channels=("ideal", "its-g5-6"),
+            corruption=("fog", "snow"),
+            severity=(1, 3),
+            channel=("ideal", "its-g5-6"),
             agents=(1, 2),
             pose_error=(0.0, 0.2),
-            limit=10,
+            frames=10,
         )
     )
     assert plan.methods == read_benchmark(written(tmp_path)).methods
     assert len(cases_of(plan)) == 3 * 5 * 2 + 3 * 3
     assert plan_of(BenchmarkOptions(plan=written(tmp_path))) == read_benchmark(written(tmp_path))
-    unnamed = plan_of(BenchmarkOptions(checkpoints=("runs/c.pt",), data=("data/test",)))
+    unnamed = plan_of(BenchmarkOptions(checkpoint=("runs/c.pt",), data=("data/test",)))
     assert (unnamed.methods[0].name, unnamed.datasets[0].name) == ("c", "test")
 
 
 def test_only_files_that_were_given_one_name_are_trainings_of_one_method() -> None:
     def plan(checkpoints: tuple[str, ...], data: tuple[str, ...] = ("test",)) -> Benchmark:
-        return plan_of(BenchmarkOptions(checkpoints=checkpoints, data=data))
+        return plan_of(BenchmarkOptions(checkpoint=checkpoints, data=data))
 
     apart = plan(("runs/a/detector.pt", "runs/b/detector.pt"), ("one/test", "two/test"))
     assert {m.name: m.detectors for m in apart.methods} == {
@@ -224,7 +232,7 @@ def test_only_files_that_were_given_one_name_are_trainings_of_one_method() -> No
 
 def test_a_folder_with_an_equals_sign_is_no_name() -> None:
     checkpoints = ("runs/lr=0.1/c.pt", "slow=runs/lr=0.01/c.pt")
-    plan = plan_of(BenchmarkOptions(checkpoints=checkpoints, data=("data/n=3/test",)))
+    plan = plan_of(BenchmarkOptions(checkpoint=checkpoints, data=("data/n=3/test",)))
     assert [(m.name, m.detectors[0]) for m in plan.methods] == [
         ("c", "runs/lr=0.1/c.pt"),
         ("slow", "runs/lr=0.01/c.pt"),
@@ -235,13 +243,13 @@ def test_a_folder_with_an_equals_sign_is_no_name() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"plan": "file", "limit": 5}, r"describes the benchmark; leave out --frames"),
+        ({"plan": "file", "frames": 5}, r"describes the benchmark; leave out --frames"),
         ({"plan": "file", "data": ("data",)}, "leave out --data"),
-        ({"plan": "file", "checkpoints": ("a.pt",)}, "leave out --checkpoint"),
+        ({"plan": "file", "checkpoint": ("a.pt",)}, "leave out --checkpoint"),
         ({"plan": "a.pt"}, "plan: expected a .toml, found .*a.pt; detector files go after --checkpoint"),
         ({"data": ("data",)}, "nothing to compare; add --checkpoint"),
-        ({"checkpoints": ("a.pt",)}, "nothing to compare; add --data"),
-        ({"checkpoints": ("a.pt",), "data": ("data",), "agents": (0,)}, "agents"),
+        ({"checkpoint": ("a.pt",)}, "nothing to compare; add --data"),
+        ({"checkpoint": ("a.pt",), "data": ("data",), "agents": (0,)}, "agents"),
     ],
 )
 def test_a_file_or_options_describe_a_benchmark_never_both(

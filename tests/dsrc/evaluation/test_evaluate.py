@@ -30,7 +30,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def config_of(world: Path, out: str, **settings: object) -> Evaluation:
     checkpoints = (f"DSRC={world / 'small.pt'}", str(world / "plain.pt"))
-    return Evaluation(**{"checkpoints": checkpoints, "data": world / "test", "out": world / out, **settings})
+    return Evaluation(**{"checkpoint": checkpoints, "data": world / "test", "out": world / out, **settings})
 
 
 def files_in(folder: Path) -> set[str]:
@@ -39,7 +39,7 @@ def files_in(folder: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def done(world: Path) -> tuple[Evaluation, list[Row]]:
-    config = config_of(world, "out", corruptions=("fog", "beam_missing"), seed=4)
+    config = config_of(world, "out", corruption=("fog", "beam_missing"), seed=4)
     return config, evaluate_drives(config)
 
 
@@ -55,7 +55,7 @@ def test_an_evaluation_writes_tables_plots_and_what_made_them(done: tuple[Evalua
     made_by = result["provenance"]
     assert made_by["seed"] == 4 and {"python", "platform", "commit", "versions"} <= set(made_by)
     settings = made_by["settings"]
-    assert (settings["corruptions"], settings["engine"]) == (["beam_missing", "fog"], "fused")
+    assert (settings["corruption"], settings["engine"]) == (["beam_missing", "fog"], "fused")
     assert (
         len(settings["methods"]["DSRC"][0]["sha256"]) == 64 and settings["methods"]["DSRC, ego alone"][0]["agents"] == 1
     )
@@ -96,7 +96,7 @@ def test_two_evaluations_write_the_same_bytes_and_the_second_computes_nothing(
 
 
 def test_clean_only_and_cooperative_only(world: Path) -> None:
-    evaluate_drives(config_of(world, "clean", corruptions=("clean",), ego_alone=False))
+    evaluate_drives(config_of(world, "clean", corruption=("clean",), ego_alone=False))
     rows = json.loads((world / "clean" / "results.json").read_text())["rows"]
     assert [(row["method"], row["condition"]) for row in rows] == [("DSRC", "clean"), ("plain", "clean")]
     # Without a corruption nothing is lost: a map of what is lost would be empty.
@@ -105,18 +105,18 @@ def test_clean_only_and_cooperative_only(world: Path) -> None:
 
 
 def test_results_that_are_replaced_are_named(world: Path, caplog: pytest.LogCaptureFixture) -> None:
-    clean = {"corruptions": ("clean",), "ego_alone": False}
+    clean = {"corruption": ("clean",), "ego_alone": False}
     evaluate_drives(config_of(world, "again", **clean))
-    evaluate_drives(config_of(world, "again", **clean, limit=1))  # the same methods: the former results anew
+    evaluate_drives(config_of(world, "again", **clean, frames=1))  # the same methods: the former results anew
     assert "replaces" not in caplog.text
-    evaluate_drives(config_of(world, "again", **clean, checkpoints=(str(world / "plain.pt"),)))
+    evaluate_drives(config_of(world, "again", **clean, checkpoint=(str(world / "plain.pt"),)))
     assert "again/results.csv: replaces the results of DSRC on test" in caplog.text
 
 
 def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world: Path) -> None:
-    config = config_of(world, "channels", corruptions=("clean",), channels=("ideal", "its-g5-6"))
+    config = config_of(world, "channels", corruption=("clean",), channel=("ideal", "its-g5-6"))
     rows = evaluate_drives(config)
-    through = [f"{name}, {channel}" for channel in config.channels for name in ("DSRC", "plain")]
+    through = [f"{name}, {channel}" for channel in config.channel for name in ("DSRC", "plain")]
     assert [row.method for row in rows] == [*through, "DSRC, ego alone"]
     assert all(row.bytes_per_frame > 0 for row in rows[:4]) and rows[4].bytes_per_frame is None
     assert rows[0].heard == 1.0
@@ -124,7 +124,7 @@ def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world: Path) 
 
 def test_checkpoints_are_named_by_their_file_or_by_hand(world: Path) -> None:
     def names(*texts: str) -> dict[str, str]:
-        plan = plan_of_evaluation(config_of(world, "out", checkpoints=texts, ego_alone=False))
+        plan = plan_of_evaluation(config_of(world, "out", checkpoint=texts, ego_alone=False))
         return {method.name: method.detectors[0] for method in plan.methods}
 
     assert names("runs/a/detector.pt", "runs/b/detector.pt", "late fusion=runs/c.pt") == {
@@ -140,10 +140,10 @@ def test_checkpoints_are_named_by_their_file_or_by_hand(world: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"checkpoints": ()}, "at least one detector"),
-        ({"corruptions": ("fogg",)}, "did you mean 'fog'"),
+        ({"checkpoint": ()}, "at least one detector"),
+        ({"corruption": ("fogg",)}, "did you mean 'fog'"),
         ({"severity": 6}, "severity: expected 1 to 5, found 6"),
-        ({"limit": 0}, "limit"),
+        ({"frames": 0}, "frames"),
         ({"engine": "fussed"}, "did you mean 'fused'"),
     ],
 )

@@ -13,7 +13,6 @@ from msgspec.structs import replace
 from dsrc.data.drives import list_drives
 from dsrc.evaluation import cells, runner
 from dsrc.evaluation.cache import CellSettings, read_cell
-from dsrc.evaluation.conditions import channel_settings
 from dsrc.evaluation.config import Benchmark, DifferenceSpec, MethodSpec, ParameterSweeps
 from dsrc.evaluation.detect import Method
 from dsrc.evaluation.report.report import provenance_of, write_report
@@ -47,7 +46,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def plan(root: Path) -> Benchmark:
     sweeps = ParameterSweeps(agents=(1, 2), pose_error=(0.0, 0.5), delay_s=(0.1,), loss=(0.9,))
-    return make_plan(root, TWO, corruptions=("fog", "beam_missing"), sweeps=sweeps)
+    return make_plan(root, TWO, corruption=("fog", "beam_missing"), sweeps=sweeps)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +68,7 @@ def test_a_row_of_a_benchmark_says_what_an_evaluation_says(
     _, result = done
     detector = load_student(root / "dsrc_1.pt")
     direct = detect_all(
-        [Method("DSRC", detector, channel=PRESETS["ideal"])], list_drives(root / "test"), plan.corruptions
+        [Method("DSRC", detector, channel=PRESETS["ideal"])], list_drives(root / "test"), plan.corruption
     )
     rows = {e.case.condition.kind: e.row for e in result.entries[:9] if (e.case.method, e.case.training) == ("DSRC", 1)}
     assert set(rows) == {"clean", "fog", "beam_missing"}
@@ -120,7 +119,7 @@ def test_a_method_that_is_added_costs_its_own_cells_alone(
     done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, result = shutil.copytree(done[0], root / "more"), done[1]
-    more = make_plan(root, {**TWO, "late": [("late", 0)]}, corruptions=plan.corruptions, sweeps=plan.sweeps)
+    more = make_plan(root, {**TWO, "late": [("late", 0)]}, corruption=plan.corruption, sweeps=plan.sweeps)
     made, write = [], cells.write_cell
     monkeypatch.setattr(cells, "write_cell", lambda f, s, t: (made.append(s.detector), write(f, s, t)))
     after = run_plan(more, out)
@@ -196,7 +195,7 @@ SETTINGS = CellSettings(
     positions=(0, 1),
     condition=Condition("fog", 3).decisive(),
     seed=0,
-    channel=channel_settings(PRESETS["ideal"]),
+    channel=PRESETS["ideal"].decisive(),
     agents=5,
     device="cpu",
     engine="fused",
@@ -220,8 +219,8 @@ SETTINGS = CellSettings(
         {"condition": Condition().decisive()},
         {"seed": 1},
         {"channel": None},
-        {"channel": channel_settings(PRESETS["c-v2x"])},
-        {"channel": channel_settings(replace(PRESETS["ideal"], packet_loss=0.1))},
+        {"channel": PRESETS["c-v2x"].decisive()},
+        {"channel": replace(PRESETS["ideal"], packet_loss=0.1).decisive()},
         {"agents": 4},
         {"device": "cuda"},
         {"engine": "bf16"},
@@ -240,12 +239,12 @@ def test_a_cell_names_who_is_corrupted_only_where_it_is_not_everyone() -> None:
 
 
 def test_a_channel_is_what_it_does_and_not_its_name(tmp_path: Path) -> None:
-    assert channel_settings(replace(PRESETS["ideal"], name="other")) == channel_settings(PRESETS["ideal"])
+    assert replace(PRESETS["ideal"], name="other").decisive() == PRESETS["ideal"].decisive()
     trace = tmp_path / "trace.csv"
     trace.write_text("time_s,delay_s,loss\n0,0.1,0\n")
-    one = channel_settings(replace(PRESETS["trace"], trace=str(trace)))
+    one = replace(PRESETS["trace"], trace=str(trace)).decisive()
     trace.write_text("time_s,delay_s,loss\n0,0.2,0\n")
-    assert channel_settings(replace(PRESETS["trace"], trace=str(trace))) != one
+    assert replace(PRESETS["trace"], trace=str(trace)).decisive() != one
 
 
 def test_a_damaged_cell_is_named(done: tuple[Path, BenchmarkResult], root: Path) -> None:
@@ -308,7 +307,7 @@ def test_a_method_may_use_the_same_detectors_otherwise(
 ) -> None:
     out = shutil.copytree(done[0], root / "otherwise")
     picky = replace(plan.methods[0], name="picky", use={"score_threshold": 0.6})
-    both = replace(plan, methods=(plan.methods[0], picky), corruptions=("clean",), sweeps=ParameterSweeps())
+    both = replace(plan, methods=(plan.methods[0], picky), corruption=("clean",), sweeps=ParameterSweeps())
     result = run_plan(both, out)
     assert result.made == 2 * 2  # two trainings on two drives; the other method's cells are there
     assert result.trained["picky"][0].settings.score_threshold == 0.6

@@ -31,10 +31,10 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
     root = tmp_path_factory.mktemp("stored")
     write_drives(root / "test", drives=2)
     config = Evaluation(
-        checkpoints=(f"DSRC={write_detector(root / 'dsrc.pt', 'dsrc')}",),
+        checkpoint=(f"DSRC={write_detector(root / 'dsrc.pt', 'dsrc')}",),
         data=root / "test",
         out=root / "out",
-        corruptions=("fog",),
+        corruption=("fog",),
     )
     return config.out, evaluate_drives(config)
 

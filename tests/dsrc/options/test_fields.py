@@ -3,14 +3,22 @@
 import inspect
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from dsrc.__main__ import main
 from dsrc.cli.options import parse
-from dsrc.options.fields import takes_fields
+from dsrc.closed_loop.campaign.plan import Campaign
+from dsrc.closed_loop.loop import LoopSettings
+from dsrc.evaluation.config import Benchmark
+from dsrc.options.detection import BenchmarkOptions, Comparison, Evaluation, Sharing
+from dsrc.options.driving import DriveOptions
+from dsrc.options.fields import RENAMED, takes_fields
+from sim.errors import GOES, DeprecatedName
 from tests.paths import ROOT
 
 
@@ -23,13 +31,26 @@ class Walk(msgspec.Struct, frozen=True):
     """
 
     place: str
-    steps: int = msgspec.field(default=1, name="step")
+    steps: int = 1
 
 
 class Command(Walk, frozen=True):
     """Walk somewhere."""
 
     fast: bool = False
+
+
+class Framed(msgspec.Struct, frozen=True):
+    """A place and frames."""
+
+    place: str
+    frames: int
+
+
+@takes_fields(Framed)
+def walk_in(options: Framed) -> int:
+    """Walk in frames."""
+    return options.frames
 
 
 @takes_fields(Walk)
@@ -46,12 +67,38 @@ def test_a_struct_its_fields_and_a_command_are_the_same() -> None:
     def report(done: int, total: int) -> None:
         seen.append((done, total))
 
-    command = parse(Command, "walk", ["--place", "home", "--step", "3", "--fast"])
+    command = parse(Command, "walk", ["--place", "home", "--steps", "3", "--fast"])
     assert command == Command(place="home", steps=3, fast=True)
     assert walk(command) == walk(Walk("home", 3)) == walk("home", 3) == walk(place="home", steps=3) == ("home", 3)
     assert walk(command, report) == walk("home", steps=3, progress=report) == ("home", 3)
     assert seen == [(3, 3), (3, 3)]
-    assert walk("home", step=3) == ("home", 3), "an option's name on the command line is an argument's too"
+
+
+def test_an_option_has_one_name_on_the_command_line_in_a_plan_and_in_python() -> None:
+    of_benchmark = {one.name for one in msgspec.structs.fields(Benchmark)}
+    assert {one.name for one in msgspec.structs.fields(Comparison)} <= of_benchmark
+    of_campaign = {one.name for struct in (Campaign, LoopSettings) for one in msgspec.structs.fields(struct)}
+    options = {one.name for one in msgspec.structs.fields(DriveOptions)}
+    assert options - of_campaign == {"what", "perception", "checkpoint", "seed"}, "a campaign has tables of these"
+    for struct in (Benchmark, Campaign, BenchmarkOptions, DriveOptions, Evaluation, Sharing):
+        assert not {one.name for one in msgspec.structs.fields(struct)} & set(RENAMED), struct
+        assert all(one.encode_name == one.name for one in msgspec.structs.fields(struct))
+
+
+def test_a_former_name_is_taken_and_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = [str(tmp_path / "none"), "--corruption", "fog", "--out", str(tmp_path / "out")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", DeprecatedName)
+        with pytest.raises(SystemExit):
+            main(["corrupt", *words, "--who", "nobody"])
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == f"dsrc: --who is deprecated and goes on {GOES}; use --corrupted-agents"
+    assert "corrupted_agents: expected all, ego, helpers or ids" in second
+    with pytest.warns(DeprecatedName, match="^limit is deprecated"):
+        config = takes_fields(Evaluation)(lambda options: options)(
+            checkpoint=("a.pt",), data=tmp_path, out=tmp_path, limit=3
+        )
+    assert config.frames == 3
 
 
 def test_an_unknown_field_is_refused_and_the_signature_names_all() -> None:

@@ -201,7 +201,7 @@ def test_a_corruption_of_an_agent_changes_nothing_in_frames_without_it_and_the_p
 ) -> None:
     clean = truth_model.view(ReviewState())
     for who, counts in (("1777", [0, 0, 0]), ("1002,1777", [0, 1, 0])):
-        view = truth_model.view(ReviewState(corruption="beam_missing", severity=5, who=who))
+        view = truth_model.view(ReviewState(corruption="beam_missing", severity=5, corrupted_agents=who))
         pairs = zip(clean.agents, view.agents, strict=True)
         assert [int(len(one.points) != len(other.points)) for one, other in pairs] == counts[: len(clean.agents)]
         assert ("no such agent in this frame" in view.notice) == (not any(counts))

@@ -15,7 +15,7 @@ SPARING = tuple(kind for kind in CORRUPTIONS if CORRUPTIONS[kind].spares_ego)
 def changed(kind: str, who: Who, ego_id: int | None = None) -> set[int]:
     """Ids of the agents whose sweep or reported pose is not that of the recording."""
     clean = frame(5)
-    out = corrupt_frame(clean, kind, 5, 4, ego_id=ego_id, who=who)
+    out = corrupt_frame(clean, kind, 5, 4, ego_id=ego_id, corrupted_agents=who)
     return {
         before.agent_id
         for before, after in zip(clean.agents, out.agents, strict=True)
@@ -41,7 +41,7 @@ def test_a_corrupted_sweep_is_the_same_whoever_else_is_corrupted(kind: str) -> N
     ids = [agent.agent_id for agent in clean.agents]
     together = corrupt_frame(clean, kind, 4, 9)
     for one in ids:
-        alone = corrupt_frame(clean, kind, 4, 9, who=(one,))
+        alone = corrupt_frame(clean, kind, 4, 9, corrupted_agents=(one,))
         assert same(alone.agent(one).sweep, together.agent(one).sweep)
         assert all(alone.agent(other).sweep is clean.agent(other).sweep for other in ids if other != one)
 

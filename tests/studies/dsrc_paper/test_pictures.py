@@ -119,7 +119,7 @@ def test_frames_without_a_box_that_only_helpers_see_are_drawn_where_there_is_no_
 
 
 def test_frames_are_of_those_that_the_tables_are_of_and_corrupted_as_asked(plan: Benchmark) -> None:
-    (first, *_, last) = frames_at(replace(plan, limit=2, pictures=dict(percentiles=(1, 100))), GRID)
+    (first, *_, last) = frames_at(replace(plan, frames=2, pictures=dict(percentiles=(1, 100))), GRID)
     assert {(reader.drive.name, position) for _, reader, position in (first, last)} == {("drive_0", 0), ("drive_1", 2)}
     clean, foggy = (
         read_drawn_frames(replace(plan, pictures=dict(corruption=kind)), GRID)[0] for kind in ("clean", "fog")
@@ -315,7 +315,7 @@ def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames: list[DrawnFram
 
 
 def test_figures_6_and_8_are_written_with_what_made_them(plan: Benchmark, teacher: str, tmp_path: Path) -> None:
-    drawn = replace(plan, corruptions=("clean",), limit=2, pictures=dict(teacher=teacher, percentiles=(50,)))
+    drawn = replace(plan, corruption=("clean",), frames=2, pictures=dict(teacher=teacher, percentiles=(50,)))
     result = run_plan(drawn, tmp_path)
     writer = SectionWriter(tmp_path, provenance_of(result))
     write_pictures(result, writer)
@@ -333,7 +333,7 @@ def test_figures_6_and_8_are_written_with_what_made_them(plan: Benchmark, teache
         assert f"| {name} | {width} | {count} |" in channels.text
     assert "| teacher |" in channels.text
     assert all((tmp_path / table).is_file() for table in channels.tables)
-    alone = make_plan(Path(plan.datasets[0].drives[0]).parent, {"late": [("late", 0)]}, corruptions=("clean",), limit=1)
+    alone = make_plan(Path(plan.datasets[0].drives[0]).parent, {"late": [("late", 0)]}, corruption=("clean",), frames=1)
     writer = SectionWriter(tmp_path / "alone", {})
     write_pictures(run_plan(alone, tmp_path / "alone"), writer)
     assert writer.sections[0].text == "Figure 6 is left out: it needs a plain method with attention (attfuse).\n"

@@ -95,7 +95,7 @@ def test_notes_mark_the_lines_of_their_methods_in_the_papers_tables() -> None:
 
 def test_the_papers_tables_take_their_places_in_a_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "write_pictures", lambda result, writer: None)
-    result = outcome_of(dict.fromkeys(METHODS, 1), name="Small", families=("physical", "paper"))
+    result = outcome_of(dict.fromkeys(METHODS, 1), name="Small", family=("physical", "paper"))
     out = tmp_path / "out"
     ours, papers = ({one.name: one for one in write(result, out)} for write in (write_report, write_paper))
     tables = ("table_1", "table_2", "table_3", "table_4")

@@ -11,7 +11,17 @@ from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, CORRUPTIONS
 
 _OWN = frozenset(
-    {"corruption", "severity", "family", "parameters", "who", "methods", "cooperative", "detection", "versus"}
+    {
+        "corruption",
+        "severity",
+        "family",
+        "parameters",
+        "corrupted_agents",
+        "methods",
+        "cooperative",
+        "detection",
+        "versus",
+    }
     # Whose errors are listed, and whether any can be broken or fixed, follows from these.
     | {"error_method", "listed"}
 )

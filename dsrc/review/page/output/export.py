@@ -70,7 +70,7 @@ def export_html(options: PageOptions) -> Path:
         SettingsError: the corruption or a number is wrong.
         CheckpointError: the checkpoint cannot be loaded.
     """
-    Condition.of(options.corruption, options.severity, options.family, options.who).checked()
+    Condition.of(options.corruption, options.severity, options.family, options.corrupted_agents).checked()
     model = open_model(options.data, options.checkpoint, options.drives)
     if not 0 <= options.drive < len(model.drives):
         raise SettingsError(complaint("view", "drive", f"0 to {len(model.drives) - 1}", options.drive))
@@ -81,7 +81,7 @@ def export_html(options: PageOptions) -> Path:
         corruption=options.corruption,
         severity=options.severity,
         family=options.family,
-        who=options.who,
+        corrupted_agents=options.corrupted_agents,
         threshold=options.threshold,
         max_points=max(budget // len(model.readable_frame(options.drive).agents), 1),
         point_size_m=POINT_SIZE_M,

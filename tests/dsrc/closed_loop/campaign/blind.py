@@ -15,7 +15,7 @@ EYES = __name__
 PLAN = Campaign(
     scenarios=("ima_building",),
     perceptions=(PerceptionSpec(name="truth"), PerceptionSpec(name="nothing", uses=f"{__name__}:Blind")),
-    corruptions=("clean",),
+    corruption=("clean",),
     clean_seeds=2,
     seeds=1,
     loop=LoopSettings(duration_s=15.0),

@@ -14,6 +14,7 @@ from dsrc.closed_loop.campaign.plan import (
     episodes_of,
     is_campaign,
     key_of,
+    late_messages,
     read_campaign,
 )
 from dsrc.closed_loop.loop import LoopSettings
@@ -87,7 +88,8 @@ def test_a_scenario_is_known_by_the_content_of_its_files(tmp_path: Path) -> None
     text = 'name = "mine"\ndescription = "mine"\n[network]\nfile = "mine.net.xml"\n[agents]\nvehicles = 1\n'
     (tmp_path / "mine.toml").write_text(text)
     (tmp_path / "plan.toml").write_text(
-        'scenarios = ["mine.toml"]\nchannels = ["trace:mine.csv"]\n[[perceptions]]\nname = "team"\n'
+        'scenarios = ["mine.toml"]\nchannel = ["trace:mine.csv,loss=0.3"]\npose_error = 0.5\n'
+        '[[perceptions]]\nname = "team"\n'
     )
     (tmp_path / "mine.csv").write_text("time_s,delay_s,loss\n0,0.1,0\n")
     keys = []
@@ -95,7 +97,7 @@ def test_a_scenario_is_known_by_the_content_of_its_files(tmp_path: Path) -> None
         (tmp_path / "mine.net.xml").write_text(f"<net><!-- {speed} --></net>")
         plan = read_campaign(tmp_path / "plan.toml")  # both lie beside it, and not in the current folder
         assert plan.scenarios == (str(tmp_path / "mine.toml"),)
-        assert plan.channels == (f"trace:{tmp_path / 'mine.csv'}",)
+        assert plan.radios == (f"trace:{tmp_path / 'mine.csv'},loss=0.3,pose_error=0.5",)
         keys.append([key_of(job) for job in episodes_of(plan)])
     assert not set(keys[0]) & set(keys[1])
 
@@ -121,7 +123,7 @@ def test_a_checkpoint_that_nobody_takes_is_refused(tmp_path: Path, text: str) ->
 
 
 def test_corruptions_reach_nobody_without_a_sensor() -> None:
-    jobs = episodes_of(replace(PLAN, corruptions=("paper_six",), perceptions=PLAN.perceptions[:1], seeds=2))
+    jobs = episodes_of(replace(PLAN, corruption=("paper_six",), perceptions=PLAN.perceptions[:1], seeds=2))
     assert [job.condition.kind for job in jobs] == ["clean", "clean"]
 
 
@@ -129,7 +131,7 @@ def test_controls_are_those_of_the_encounters() -> None:
     found = controls_of(replace(PLAN, scenarios=("ima_building", "four_way")))
     assert found is not None and found.scenarios == ("ima_building:no_occluder", "ima_building:no_conflict")
     assert controls_of(replace(PLAN, scenarios=("four_way",))) is None
-    later = controls_of(replace(PLAN, corruptions=("fog",), seeds=(7, 8)))
+    later = controls_of(replace(PLAN, corruption=("fog",), seeds=(7, 8)))
     assert later is not None and {job.seed for job in episodes_of(later)} == {0, 1, 7, 8}
     busy = controls_of(replace(PLAN, scenarios=("ima_building:dense", "lta_truck:no_occluder")))
     assert busy is not None and busy.scenarios == ("ima_building:dense:no_occluder", "ima_building:dense:no_conflict")
@@ -146,7 +148,7 @@ def test_controls_are_those_of_the_encounters() -> None:
 def test_the_careful_driver_drives_the_seeds_that_others_drive(
     corruptions: tuple[str, ...], perceptions: tuple[PerceptionSpec, ...], seeds: set[int]
 ) -> None:
-    plan = replace(PLAN, corruptions=corruptions, perceptions=perceptions, seeds=(7, 8))
+    plan = replace(PLAN, corruption=corruptions, perceptions=perceptions, seeds=(7, 8))
     driven = {(job.perception, job.seed) for job in episodes_of(careful_of(plan))}
     assert driven == {("truth", seed) for seed in seeds}
     assert {job.seed for job in episodes_of(plan)} == seeds
@@ -161,13 +163,13 @@ def test_repeated_seeds_of_a_command_line_are_refused() -> None:
     ("text", "field"),
     [
         ('scenarios = ["nowhere"]', "nowhere"),
-        ('corruptions = ["mist"]', "mist"),
+        ('corruption = ["mist"]', "mist"),
         ("seeds = 0", "seeds"),
-        ('channels = ["pigeon"]', "pigeon"),
+        ('channel = ["pigeon"]', "pigeon"),
         ('driver = "reckless"', "driver: expected one of planning, careful, found reckless"),
         ("colour = 1", "colour"),
         ("clean_seeds = [1, 1]", "clean_seeds"),
-        ('corruptions = ["fog", "fog"]', "corruptions"),
+        ('corruption = ["fog", "fog"]', "corruption"),
         ('[[perceptions]]\nname = "a|b"\nuses = "truth"', "perceptions.name"),
         ('[[perceptions]]\nname = ""\nuses = "truth"', "perceptions.name"),
     ],
@@ -183,17 +185,17 @@ def test_a_wrong_plan_is_one_line_that_names_the_field(tmp_path: Path, text: str
     assert field in str(error.value) and "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("text", ["severities = [4]", 'family = "paper"', 'who = "helpers"'])
+@pytest.mark.parametrize("text", ["severity = [4]", 'family = "paper"', 'corrupted_agents = "helpers"'])
 def test_settings_of_corruptions_beside_none_are_refused(tmp_path: Path, text: str) -> None:
     path, lines = tmp_path / "plan.toml", f'scenarios = ["ima_building"]\n{text}\n[[perceptions]]\nname = "ego"\n'
-    path.write_text(f'corruptions = ["clean"]\n{lines}', encoding="utf-8")
+    path.write_text(f'corruption = ["clean"]\n{lines}', encoding="utf-8")
     with pytest.raises(SettingsError, match=rf"plan\.toml: {text.split()[0]}: expected none, since"):
         read_campaign(path)
-    path.write_text(f'corruptions = ["fog"]\n{lines}', encoding="utf-8")
+    path.write_text(f'corruption = ["fog"]\n{lines}', encoding="utf-8")
     assert len(read_campaign(path).conditions) == 2
 
 
-@pytest.mark.parametrize("text", ['corruptions = ["clean"]', 'corruptions = ["fog"]'])
+@pytest.mark.parametrize("text", ['corruption = ["clean"]', 'corruption = ["fog"]'])
 def test_seeds_that_no_episode_would_have_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(
@@ -218,10 +220,10 @@ def test_options_beside_a_plan_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("perception", "text"),
     [
-        ("truth", 'corruptions = ["fog"]'),
+        ("truth", 'corruption = ["fog"]'),
         ("sight", 'engine = "bf16"'),
-        ("truth", 'channels = ["paper"]'),
-        ("ego", 'channels = ["ideal", "paper"]'),
+        ("truth", 'channel = ["paper"]'),
+        ("ego", 'channel = ["ideal", "paper"]'),
     ],
 )
 def test_settings_of_what_no_perception_has_are_refused(tmp_path: Path, perception: str, text: str) -> None:
@@ -259,8 +261,17 @@ def test_a_scenario_is_no_campaign_however_its_keys_are_called(tmp_path: Path, t
 
 def test_changes_of_the_radio_are_channels_of_their_own() -> None:
     options = DriveOptions(what="four_way", perception=("team",), channel=("ideal", "its-g5-6"), loss=0.3, delay_s=0.2)
-    assert campaign_of(options).channels == ("ideal,loss=0.3,delay_s=0.2", "its-g5-6,loss=0.3,delay_s=0.2")
+    assert campaign_of(options).radios == ("ideal,loss=0.3,delay_s=0.2", "its-g5-6,loss=0.3,delay_s=0.2")
     alone = DriveOptions(what="four_way", perception=("team",), pose_error=0.4)
     assert [job.radio["position_error_m"] for job in episodes_of(campaign_of(alone))] == [0.4]
     with pytest.raises(SettingsError, match=r"loss: expected 0 to 1, found 1\.5"):
         campaign_of(DriveOptions(what="four_way", perception=("team",), loss=1.5))
+
+
+def test_messages_that_wait_for_the_next_detection_are_told() -> None:
+    def late(delay_s: float, every_s: float) -> list[tuple[str, float, float]]:
+        options = DriveOptions(what="four_way", perception=("team",), delay_s=delay_s, detect_every_s=every_s)
+        return list(late_messages(campaign_of(options)))
+
+    assert late(0.05, 0.2) == [("ideal,delay_s=0.05", 0.05, 0.2)]
+    assert late(0.2, 0.1) == late(0.0, 0.2) == []

@@ -294,8 +294,8 @@ def test_an_agent_that_does_not_exist_ends_the_campaign(tmp_path: Path) -> None:
     plan = replace(
         PLAN,
         scenarios=("lta_truck",),
-        corruptions=("fog",),
-        who="999999",
+        corruption=("fog",),
+        corrupted_agents="999999",
         clean_seeds=1,
         seeds=1,
         perceptions=(PerceptionSpec(name="team"),),

@@ -12,6 +12,7 @@ from dsrc.closed_loop.types import Outcome, Percept
 from dsrc.options.driving import DriveOptions
 from sim.boxes import Boxes
 from sim.errors import SettingsError
+from sim.radio import get_channel
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
@@ -40,8 +41,8 @@ def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: p
     given = []
 
     def opened(uses: str, **settings: Any) -> Late:
-        given.append(settings["channel"])
-        return Late(10.0 * settings["channel"].delay_s)
+        given.append(get_channel(settings["channel"]))
+        return Late(10.0 * given[-1].delay_s)
 
     monkeypatch.setattr(searching, "open_perception", opened)
     options = DriveOptions(what="ima_building", perception=("team",), duration_s=15.0, detect_every_s=0.2)

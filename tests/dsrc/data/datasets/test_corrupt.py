@@ -80,14 +80,14 @@ def test_the_papers_snow_takes_its_sensors_calibration_from_the_command_line(dat
 
 def test_only_the_agents_asked_for_are_corrupted(data: Path, tmp_path: Path) -> None:
     for who, changed in (("ego", {1000}), ("helpers", {1002, -1}), ("1002", {1002})):
-        (drive, _) = corrupt_dataset(data, tmp_path / who, "beam_missing", severity=5, who=who)
+        (drive, _) = corrupt_dataset(data, tmp_path / who, "beam_missing", severity=5, corrupted_agents=who)
         pairs = zip(DriveReader(data / "one").read(2).agents, DriveReader(drive).read(2).agents, strict=True)
         assert {a.agent_id for a, b in pairs if len(b.sweep) < len(a.sweep)} == changed
         assert DriveReader(drive).protocol["testbed"]["corruptions"][0]["who"] == who
     with pytest.raises(DataError, match=r"one: frame 0: who: expected ids among the agents .*, found 7"):
-        corrupt_dataset(data, tmp_path / "none", "beam_missing", who="7")
+        corrupt_dataset(data, tmp_path / "none", "beam_missing", corrupted_agents="7")
     with pytest.raises(SettingsError, match="who: expected helpers"):
-        corrupt_dataset(data, tmp_path / "none", "pose_error", who="ego")
+        corrupt_dataset(data, tmp_path / "none", "pose_error", corrupted_agents="ego")
 
 
 def test_any_number_of_workers_writes_the_same_bytes(data: Path, tmp_path: Path) -> None:

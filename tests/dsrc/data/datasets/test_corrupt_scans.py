@@ -194,7 +194,7 @@ def test_a_preset_and_a_sensor_are_options(kitti: Path, tmp_path: Path, capsys: 
         ({"corruption": "pose_error"}, "several agents"),
         ({"corruption": "incomplete_echo"}, "boxes of the vehicles"),
         ({"corruption": "fog", "sensor": "hdl"}, "unknown lidar"),
-        ({"corruption": "fog", "who": "ego"}, "who"),
+        ({"corruption": "fog", "corrupted_agents": "ego"}, "corrupted-agents"),
         ({"corruption": "fog", "preset": "none"}, "preset"),
         ({"corruption": "fog", "preset": "robo3d_heavy", "severity": 5}, "leave out the severity"),
         ({"corruption": "spray"}, "boxes of the vehicles with velocities"),

@@ -33,7 +33,7 @@ PAIRS = (DifferenceSpec(method="dsrc", baseline="attfuse"), DifferenceSpec(metho
 
 def found_in(frames: tuple[int, ...], trainings: int = 1, **settings: object) -> BenchmarkResult:
     """Return detections, ten boxes a frame, whose AP under a corruption is worse; and rows that say the same."""
-    result = outcome_of(dict.fromkeys(SKILL, trainings), corruptions=("fog", "snow"), differences=PAIRS, **settings)
+    result = outcome_of(dict.fromkeys(SKILL, trainings), corruption=("fog", "snow"), differences=PAIRS, **settings)
     entries = []
     for entry in result.entries:
         case = entry.case
@@ -224,7 +224,7 @@ def test_a_page_sums_up_many_pairs_and_links_the_whole_table(tmp_path: Path) -> 
     methods = {name: [(method, 0)] for name, method in (("DSRC", "dsrc"), ("plain", "attfuse"), ("late", "late"))}
     pairs = tuple(DifferenceSpec(method=name, baseline="plain") for name in ("DSRC", "late"))
     for count in (2, 1):
-        plan = make_plan(tmp_path, methods, corruptions=("fog",), differences=pairs[:count])
+        plan = make_plan(tmp_path, methods, corruption=("fog",), differences=pairs[:count])
         result = run_plan(plan, tmp_path / "out")
         section = next(one for one in write_report(result, tmp_path / "out") if one.name == "made-up/differences")
         page, whole = section.markdown(Path("results")), (tmp_path / "out/made-up/differences.md").read_text()

@@ -75,7 +75,7 @@ def view_of(methods: dict[str, int], **settings: object) -> DatasetResults:
 
 def tables_of(result: BenchmarkResult, dataset: str) -> dict[str, Table]:
     results = DatasetResults.of(result, dataset)
-    sheets = [table_1(results), table_1(results, opencood=True), severity_table(results, result.plan.severities)]
+    sheets = [table_1(results), table_1(results, opencood=True), severity_table(results, result.plan.severity)]
     return {sheet.name: sheet for sheet in [*sheets, *(sweep_table(results, axis) for axis in axes_of(result))]}
 
 
@@ -132,25 +132,23 @@ def test_curves_hold_what_is_varied_in_ascending_order() -> None:
 
 
 def test_a_severity_that_is_not_the_papers_is_shown_where_it_is_the_only_one() -> None:
-    results = view_of({"dsrc": 1}, severities=(5, 1), corruptions=("fog",))
+    results = view_of({"dsrc": 1}, severity=(5, 1), corruption=("fog",))
     assert results.severity == 5 and results.kinds() == ["fog"]
-    assert view_of({"dsrc": 1}, severities=(1, 3)).severity == 3
+    assert view_of({"dsrc": 1}, severity=(1, 3)).severity == 3
     assert len(results.rows("dsrc", "fog")) == 1 and results.rows("dsrc", "fog", severity=2) == []
     entry = results.entries[-1]
     assert entry.case.condition == Condition("fog", 1)
 
 
 def test_clean_frames_alone_have_no_mce() -> None:
-    sheet = table_1(view_of({"dsrc": 1}, corruptions=("clean",)))
+    sheet = table_1(view_of({"dsrc": 1}, corruption=("clean",)))
     assert [column.title for column in sheet.columns] == ["Clean", "mCE", "mAP", "kB / frame", "ms / frame"]
     assert "| dsrc | 92.6 / 88.5 | - / - | - / - | 1.5 | 20 |" in sheet.markdown()
 
 
 def test_every_table_says_what_its_numbers_come_from() -> None:
     methods = {"late": 1, "where2comm": 1, "attfuse": 1, "dsrc": 3, "f-cooper": 1, "dsrc-max": 1}
-    result = outcome_of(
-        methods, severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)), channels=("ideal", "its-g5-6")
-    )
+    result = outcome_of(methods, severity=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)), channel=("ideal", "its-g5-6"))
     for name, several in result.trained.items():
         result.trained[name] = [changed(one, recipe="debug") for one in several]
     x0, y0, _, x1, y1, _ = settings_of("dsrc").grid.range_m
@@ -176,7 +174,7 @@ def test_notes_mark_the_lines_of_their_methods_in_every_table(tmp_path: Path) ->
         Footnote(methods=("dsrc",), text="Twice."),
     )
     methods = {"late": 1, "attfuse": 1, "no rec": 1, "dsrc": 1, "f-cooper": 1, "dsrc-max": 1}
-    result = outcome_of(methods, notes=notes, severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)))
+    result = outcome_of(methods, notes=notes, severity=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)))
     sheets = tables_of(result, "made up")
     for name in ("table_1", "table_1_opencood", "severity", "agents"):
         text = sheets[name].markdown()
@@ -202,7 +200,7 @@ def test_a_start_has_a_column_where_a_method_says_so() -> None:
 
 
 def test_each_family_of_corruptions_has_its_own_table_1() -> None:
-    result = outcome_of({"dsrc": 1, "attfuse": 1}, families=("physical", "paper"), corruptions=("fog", "snow"))
+    result = outcome_of({"dsrc": 1, "attfuse": 1}, family=("physical", "paper"), corruption=("fog", "snow"))
     weaker = [
         changed(e, row=changed(e.row, metrics={name: v / 2 for name, v in e.row.metrics.items()}))
         if e.case.condition.family == "paper"
@@ -223,9 +221,7 @@ def test_each_family_of_corruptions_has_its_own_table_1() -> None:
 
 
 def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path: Path) -> None:
-    result = outcome_of(
-        dict.fromkeys(METHODS, 1), name="Small", severities=(1, 3), sweeps=ParameterSweeps(agents=(1, 2))
-    )
+    result = outcome_of(dict.fromkeys(METHODS, 1), name="Small", severity=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)))
     out, document = tmp_path / "out", tmp_path / "docs" / "results.md"
     sections = write_report(result, out)
     names = {path.name for path in (out / "made-up").iterdir()}

@@ -126,7 +126,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> tuple[Evaluation, dict[t
     root = tmp_path_factory.mktemp("stored")
     write_drives(root / "test", drives=2)
     checkpoint = f"DSRC={write_detector(root / 'dsrc.pt', 'dsrc')}"
-    config = Evaluation(checkpoints=(checkpoint,), data=root / "test", out=root / "out", corruptions=("fog",))
+    config = Evaluation(checkpoint=(checkpoint,), data=root / "test", out=root / "out", corruption=("fog",))
     return config, {(row.method, row.condition): row for row in evaluate_drives(config)}
 
 

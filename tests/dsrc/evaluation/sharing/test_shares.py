@@ -164,7 +164,7 @@ def test_false_detections_are_shared_by_all_frames_that_were_looked_at() -> None
 def test_frames_without_a_box_are_counted(world: Path) -> None:
     config = Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "none")
     every = frames_looked_at(config)
-    assert every > 1 == frames_looked_at(msgspec.structs.replace(config, limit=1))
+    assert every > 1 == frames_looked_at(msgspec.structs.replace(config, frames=1))
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +202,7 @@ def test_the_command_writes_a_line_per_agent_and_box_and_prints_a_table(
 
 
 def test_shares_are_the_same_again_and_limits_hold(world: Path) -> None:
-    config = Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "again", limit=1)
+    config = Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "again", frames=1)
     steps = []
     rows = share_drives(config, progress=lambda done, total: steps.append((done, total)))
     assert rows == share_drives(config) and steps == [(0, 1), (1, 1)]
@@ -238,7 +238,7 @@ def test_an_interrupted_run_resumes_with_the_same_bytes_for_any_workers(
     assert {path: path.stat().st_mtime_ns for path in cells[2:]} == kept
     assert files("parallel", 2) == whole
     rows = share_drives(
-        Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "serial", corruptions=("fog",)),
+        Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "serial", corruption=("fog",)),
         progress=lambda done, total: pytest.fail("computed again") if total else None,
     )
     places = [(row.frame, row.condition) for row in rows]

@@ -112,8 +112,8 @@ def test_reports_are_kept_until_more_frames_are_known(model: ReviewModel) -> Non
 def test_a_report_is_of_the_agents_whose_sweeps_are_corrupted(model: ReviewModel) -> None:
     reports, foggy = run.Reports(model), replace(STATE, corruption="beam_missing", severity=5)
     for who in ("all", "helpers"):
-        model.view(replace(foggy, who=who))
-    everyone, helpers = (reports.of(replace(foggy, who=who)) for who in ("all", "helpers"))
+        model.view(replace(foggy, corrupted_agents=who))
+    everyone, helpers = (reports.of(replace(foggy, corrupted_agents=who)) for who in ("all", "helpers"))
     assert everyone.errors.conditions == ("beam missing 5",)
     assert helpers.errors.conditions == ("beam missing 5, helpers",)
 

@@ -18,8 +18,8 @@ from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.page.conftest import SocketBrowser
 
 FULL = ReviewState(
-    drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper", who="ego",
-    parameters=(("backscatter", 0.3), ("variant", "v2"), ("rounded", True)), threshold=0.55,
+    drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper",
+    corrupted_agents="ego", parameters=(("backscatter", 0.3), ("variant", "v2"), ("rounded", True)), threshold=0.55,
     sensor="vlp-16", carrier="1002", placement=(0.5, -1.25, 3.0, 90.0, -10.0),
     iou=0.7, color_by="fate", hidden=frozenset({1000, -1}), layers_off=frozenset({"bodies", "labels"}), object_id=1003,
     max_points=9000, point_size_m=0.2, camera="chase", speed=0.5, theme="light",
@@ -69,10 +69,10 @@ def test_a_list_of_what_is_broken_comes_back_with_the_run_that_tells_it(two: Rev
 
 def test_agents_of_a_corruption_are_words_or_ids(two: ReviewModel) -> None:
     for who in ("helpers", "1002,-1"):
-        state = ReviewState(corruption="fog", who=who)
+        state = ReviewState(corruption="fog", corrupted_agents=who)
         assert read_link(write_link(two, state, None), two, ReviewState()) == (state, None, [])
     read, _, complaints = read_link("who=nobody", two, ReviewState())
-    assert read == ReviewState() and "who: expected all, ego, helpers or ids of agents" in complaints[0]
+    assert read == ReviewState() and "corrupted_agents: expected all, ego, helpers or ids of agents" in complaints[0]
 
 
 def test_no_number_of_a_camera_is_a_negative_zero(two: ReviewModel) -> None:

@@ -50,7 +50,7 @@ CHANGES = {
     "point_size_m": 0.3, "max_points": 9000, "theme": "light", "layers_off": frozenset({"bodies"}),
     "methods": ("detector",), "listed": "missed", "versus": "alone", "error_method": "detector", "error_class": "truck",
     "error_range": "30-50", "error_seen_by": "helper", "sensor": "vlp-16", "carrier": "pole",
-    "who": "ego",
+    "corrupted_agents": "ego",
 }  # fmt: skip
 
 
@@ -62,7 +62,8 @@ def test_every_control_follows_the_state(session: Session, fake_fog: list[tuple[
     for one in (one for one in bound if one.control.field == field):
         shown = {"camera": "Chase", "object_id": "car 1003", "speed": "2×", "ego_id": "vehicle 1002", "iou": "0.3",
                  "theme": "Light", "versus": "ego alone", "error_seen_by": "helpers alone",
-                 "methods": "detector", "who": "the ego", "layers_off": one.control.label != "Bodies"}  # fmt: skip
+                 "methods": "detector", "corrupted_agents": "the ego",
+                 "layers_off": one.control.label != "Bodies"}  # fmt: skip
         assert one.handle.value == shown.get(field, CHANGES[field])
 
 

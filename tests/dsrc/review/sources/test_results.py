@@ -30,7 +30,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
         f"{name}={write_detector(root / f'{method}.pt', method)}" for name, method in (("A", "dsrc"), ("B", "attfuse"))
     ]
     config = Evaluation(
-        checkpoints=tuple(files), data=root / "test", out=root / "out", corruptions=("fog",), ego_alone=False
+        checkpoint=tuple(files), data=root / "test", out=root / "out", corruption=("fog",), ego_alone=False
     )
     return root, evaluate_drives(config)
 
