@@ -27,8 +27,9 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
 
     Attributes:
         out: folder of results and logs; default: results are printed only.
-        reuse: results.csv, controls.csv or careful.csv of earlier runs: an episode that is in them, with the same
-            settings, detector and code, is not driven again, and has no log; default: none.
+        reuse: folders of earlier campaigns: their episodes whose settings and detector agree are not driven again, also
+            where code and package versions differ, which is recorded; or results.csv, controls.csv or careful.csv of
+            earlier runs, of the same code, whose episodes then have no log; default: none.
         docs: Markdown document that gets the tables and plots of a campaign too, files beside it: those that it has
             markers for, or all at its end if it has none; default: none.
         critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
@@ -37,7 +38,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     """
 
     out: Folder | None = None
-    reuse: tuple[File, ...] = ()
+    reuse: tuple[Path, ...] = ()
     docs: File | None = None
     critical: Literal["severity", "delay_s", "loss"] | None = None
     view: bool = False
@@ -105,18 +106,21 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from rich.console import Console
 
         from dsrc.closed_loop.campaign.plan import campaign_of, late_messages
-        from dsrc.closed_loop.campaign.run import estimate_s, read_results, reused, run_campaign
+        from dsrc.closed_loop.campaign.run import estimate_s, read_results, reused, run_campaign, take_episodes
         from dsrc.closed_loop.report.report import check_publication, publish_report, write_report
         from dsrc.closed_loop.report.terminal import summary_table
         from dsrc.runs.lock import locked
 
-        plan, known = campaign_of(self), read_results(self.reuse)
+        plan, folders = campaign_of(self), [one for one in self.reuse if one.is_dir()]
+        known = read_results(one for one in self.reuse if not one.is_dir())
         if self.out is not None:
             if self.docs is not None:
                 check_publication(plan, self.docs)
             with locked(out, what="campaign"):
                 pass  # a folder that cannot be written to is told before anything else
-            if self.reuse:
+            if folders:
+                sys.stderr.write(f"{take_episodes(plan, out, folders)} episodes are taken from earlier campaigns\n")
+            if known:
                 sys.stderr.write(f"{reused(plan, known)} of {len(known)} results are of this campaign's episodes\n")
             episodes, seconds = estimate_s(plan, out, self.pool, known)
             sys.stderr.write(f"{episodes} episodes to drive, about {_duration(seconds)}\n")

@@ -20,8 +20,8 @@ from dsrc.closed_loop.metrics.episode import episode_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Driver, Perception
 from dsrc.data.jsonio import read_json
-from dsrc.runs.unit import Progress, Unit
-from sensors.corruptions import CLEAN, Condition
+from dsrc.runs.unit import Progress, Unit, key_of
+from sensors.corruptions import CLEAN, EVERYONE, Condition
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
 from sim.files import write_file
@@ -69,6 +69,18 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
     loop: LoopSettings
     versions: dict[str, str]
     code: str
+
+
+def decisive(job: EpisodeJob) -> dict[str, Any]:
+    """Return what decides an episode, of plain values, without names and paths."""
+    condition = job.condition.decisive()
+    found = msgspec.to_builtins(job) | {"who": condition.pop("who", EVERYONE), "condition": condition}
+    return {name: found[name] for name in found if name not in ("scenario", "perception", "checkpoint", "channel")}
+
+
+def episode_key(job: EpisodeJob) -> str:
+    """Return the name of an episode's cell, see `decisive`."""
+    return key_of(decisive(job))
 
 
 class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -120,12 +132,21 @@ def read_result(folder: Path, key: str) -> EpisodeResult:
     return read_json(path, EpisodeResult)
 
 
+class _Stored(msgspec.Struct, frozen=True):
+    settings: dict[str, Any] | None = None
+
+
+def stored_settings(folder: Path, key: str) -> dict[str, Any] | None:
+    """Return what decided a stored episode, None of one that does not tell; raises DataError where it is damaged."""
+    return read_json(folder / f"{key}.json", _Stored).settings
+
+
 def drive_unit(unit: Unit[EpisodeJob], progress: Progress) -> None:
     """Drive episodes and write their logs and results."""
     for done, (key, job) in enumerate(unit.jobs.items(), start=1):
         log = drive_episode(job)
         log.save(unit.folder / f"{key}.npz")
-        result = result_of(key, job, log)
+        result = msgspec.to_builtins(result_of(key, job, log)) | {"settings": decisive(job)}
         write_file(unit.folder / f"{key}.json", msgspec.json.encode(result, order="deterministic"))
         progress(done, len(unit.jobs))
 

@@ -20,7 +20,6 @@ Paths are relative to the file, or else to the current folder.
 """
 
 import dataclasses
-import hashlib
 import math
 from collections.abc import Iterator
 from difflib import get_close_matches
@@ -144,15 +143,6 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     def radios(self) -> tuple[str, ...]:
         """Radio channels with their changes."""
         return changed_radios(self.channel, self.loss, self.delay_s, self.pose_error)
-
-
-def key_of(job: EpisodeJob) -> str:
-    """Return the name of an episode's cell: a hash of what decides it, without names and paths."""
-    condition = job.condition.decisive()
-    decisive = msgspec.to_builtins(job) | {"who": condition.pop("who", EVERYONE), "condition": condition}
-    for name in ("scenario", "perception", "checkpoint", "channel"):
-        del decisive[name]
-    return hashlib.sha256(msgspec.json.encode(decisive, order="deterministic")).hexdigest()[:32]
 
 
 def read_campaign(path: Path) -> Campaign:

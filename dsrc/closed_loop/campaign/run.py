@@ -17,7 +17,17 @@ from typing import Any, Self
 
 import msgspec
 
-from dsrc.closed_loop.campaign.episode import DRIVERS, EpisodeJob, EpisodeResult, drive_unit, probe_s, read_result
+from dsrc.closed_loop.campaign.episode import (
+    DRIVERS,
+    EpisodeJob,
+    EpisodeResult,
+    decisive,
+    drive_unit,
+    episode_key,
+    probe_s,
+    read_result,
+    stored_settings,
+)
 from dsrc.closed_loop.campaign.plan import (
     Campaign,
     campaign_of,
@@ -25,7 +35,6 @@ from dsrc.closed_loop.campaign.plan import (
     controls_of,
     detector_hash,
     episodes_of,
-    key_of,
 )
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
@@ -55,8 +64,8 @@ EPISODES: Study[EpisodeJob, EpisodeResult] = Study(
     steps=lambda _: 1,
     endings=(".npz", ".json"),
     read=read_result,
-    settings=lambda _: None,  # a log does not hold all that decides it
-    stored=lambda _folder, _key: None,
+    settings=decisive,
+    stored=stored_settings,
 )
 
 
@@ -188,11 +197,29 @@ def read_results(paths: Iterable[Path]) -> dict[str, EpisodeResult]:
     return found
 
 
+def take_episodes(plan: Campaign, out: Path, folders: Iterable[Path]) -> int:
+    """Copy missing episodes from folders of earlier campaigns that differ in code and versions alone; return how many.
+
+    Raises:
+        DataError: a folder has no episodes.
+    """
+    with locked(out, what="campaign"):
+        jobs = {episode_key(job): job for job in _all_jobs(plan)}
+        (out / "episodes").mkdir(exist_ok=True)
+        before = len(EPISODES.missing(out / "episodes", jobs))
+        EPISODES.reuse(out / "episodes", jobs, folders)
+        return before - len(EPISODES.missing(out / "episodes", jobs))
+
+
+def _all_jobs(plan: Campaign) -> list[EpisodeJob]:
+    """Return the episodes of a campaign, its controls and its reference driver."""
+    controls = controls_of(plan) if plan.controls else None
+    return [*(episodes_of(controls) if controls else []), *episodes_of(plan), *_reference(plan)]
+
+
 def reused(plan: Campaign, known: Mapping[str, EpisodeResult]) -> int:
     """Return the number of results that are of a campaign's episodes, its controls and its reference driver counted."""
-    controls = controls_of(plan) if plan.controls else None
-    jobs = [*(episodes_of(controls) if controls else []), *episodes_of(plan), *_reference(plan)]
-    return len({key_of(job) for job in jobs} & known.keys())
+    return len({episode_key(job) for job in _all_jobs(plan)} & known.keys())
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,9 +244,9 @@ class _Episodes:
         self, jobs: Sequence[EpisodeJob], pool: Pool, progress: Progress | None
     ) -> tuple[tuple[EpisodeResult, ...], int]:
         """Drive the episodes that are missing; return all results and the number driven."""
-        keyed = {key_of(job): job for job in jobs}
+        keyed = {episode_key(job): job for job in jobs}
         made = EPISODES.run(self.folder, {k: job for k, job in keyed.items() if k not in self.known}, pool, progress)
-        return tuple(self._named(key_of(job), job) for job in jobs), made
+        return tuple(self._named(episode_key(job), job) for job in jobs), made
 
     def _named(self, key: str, job: EpisodeJob) -> EpisodeResult:
         """Return a result under the names of this campaign: two names may share an episode."""
@@ -250,10 +277,9 @@ def estimate_s(
         known: results of episodes that are not driven again, by key.
     """
     episodes = _Episodes.of(out, known)
-    controls = controls_of(plan) if plan.controls else None
-    jobs = [*(episodes_of(controls) if controls else []), *episodes_of(plan), *_reference(plan)]
-    found = {key: episodes.find(key) for key in dict.fromkeys(map(key_of, jobs))}
-    missing = [job for job in {key_of(job): job for job in jobs}.values() if found[key_of(job)] is None]
+    jobs = _all_jobs(plan)
+    found = {key: episodes.find(key) for key in dict.fromkeys(map(episode_key, jobs))}
+    missing = [job for job in {episode_key(job): job for job in jobs}.values() if found[episode_key(job)] is None]
     driven = [one.metrics["duration_s"] for one in found.values() if one is not None]
     known_s = [seconds for seconds in driven if seconds is not None]
     total = 0.0

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from dsrc.closed_loop.campaign.episode import episode_key
 from dsrc.closed_loop.campaign.plan import (
     PerceptionSpec,
     campaign_of,
@@ -13,7 +14,6 @@ from dsrc.closed_loop.campaign.plan import (
     controls_of,
     episodes_of,
     is_campaign,
-    key_of,
     late_messages,
     read_campaign,
 )
@@ -31,14 +31,14 @@ def test_every_setting_has_a_cell_of_its_own() -> None:
         replace(PLAN, scenarios=("ima_queue",)),
         replace(PLAN, clean_seeds=(7,), seeds=(7,)),
     ]
-    keys = [key_of(job) for plan in plans for job in episodes_of(plan)]
+    keys = [episode_key(job) for plan in plans for job in episodes_of(plan)]
     assert len(set(keys)) == len(keys)
 
 
 def test_the_engine_decides_cells_of_networks_alone() -> None:
     sensed = replace(PLAN, perceptions=(PerceptionSpec(name="truth"), PerceptionSpec(name="ego")))
     fused, half = (episodes_of(replace(sensed, engine=engine)) for engine in ("fused", "bf16"))
-    changed = [one.uses for one, other in zip(fused, half, strict=True) if key_of(one) != key_of(other)]
+    changed = [one.uses for one, other in zip(fused, half, strict=True) if episode_key(one) != episode_key(other)]
     assert set(changed) == {"ego"} and len(changed) == 2
     assert campaign_of(DriveOptions(what="ima_building", perception=("ego",), engine="bf16")).engine == "bf16"
 
@@ -47,13 +47,13 @@ def test_names_and_paths_decide_nothing() -> None:
     renamed = replace(
         PLAN, perceptions=tuple(replace(one, name=f"my {one.name}", uses=one.kind) for one in PLAN.perceptions)
     )
-    assert [key_of(job) for job in episodes_of(renamed)] == [key_of(job) for job in episodes_of(PLAN)]
+    assert [episode_key(job) for job in episodes_of(renamed)] == [episode_key(job) for job in episodes_of(PLAN)]
 
 
 def test_a_detector_is_known_by_its_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def key(text: str, **options: Any) -> str:
         (job,) = episodes_of(campaign_of(DriveOptions(what="ima_building", perception=(text,), **options)))
-        return key_of(job)
+        return episode_key(job)
 
     one, copy = tmp_path / "one.pt", tmp_path / "copy.pt"
     for path in (one, copy):
@@ -78,9 +78,9 @@ def test_a_package_of_ones_own_is_known_by_all_its_modules(tmp_path: Path, monke
     (package / "__init__.py").write_text("from eyes_of_a_package.lids import Eyes")
     (package / "lids.py").write_text("class Eyes: ...")
     plan = campaign_of(DriveOptions(what="ima_building", perception=("eyes_of_a_package:Eyes",)))
-    (before,) = map(key_of, episodes_of(plan))
+    (before,) = map(episode_key, episodes_of(plan))
     (package / "lids.py").write_text("class Eyes: detect = print")
-    (after,) = map(key_of, episodes_of(plan))
+    (after,) = map(episode_key, episodes_of(plan))
     assert before != after
 
 
@@ -98,7 +98,7 @@ def test_a_scenario_is_known_by_the_content_of_its_files(tmp_path: Path) -> None
         plan = read_campaign(tmp_path / "plan.toml")  # both lie beside it, and not in the current folder
         assert plan.scenarios == (str(tmp_path / "mine.toml"),)
         assert plan.radios == (f"trace:{tmp_path / 'mine.csv'},loss=0.3,pose_error=0.5",)
-        keys.append([key_of(job) for job in episodes_of(plan)])
+        keys.append([episode_key(job) for job in episodes_of(plan)])
     assert not set(keys[0]) & set(keys[1])
 
 

@@ -19,11 +19,12 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from dsrc.cli.drive import Drive
+from dsrc.closed_loop.campaign import plan as planning
 from dsrc.closed_loop.campaign import run as runner
 from dsrc.closed_loop.campaign.plan import (
     PerceptionSpec,
 )
-from dsrc.closed_loop.campaign.run import drive_episodes, read_results, replay_at, reused, run_campaign
+from dsrc.closed_loop.campaign.run import drive_episodes, read_results, replay_at, reused, run_campaign, take_episodes
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
@@ -88,6 +89,20 @@ def test_results_of_another_folder_are_not_driven_again(driven: Path, tmp_path: 
     assert fewer.made == 0 and run_campaign(PLAN, tmp_path / "same").made == 0
     other = replace(PLAN, clean_seeds=1, loop=LoopSettings(duration_s=14.0))
     assert reused(other, known) == 0, "other settings are other episodes"
+
+
+def test_episodes_of_other_code_are_taken_from_an_earlier_folder(
+    driven: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning, "code_hash", lambda name: "another")
+    out = tmp_path / "new code"
+    assert take_episodes(PLAN, out, [driven]) == 4
+    again = run_campaign(PLAN, out)
+    assert again.made == 0 and len(list((out / "episodes").glob("*.npz"))) == 4, "with their logs"
+    assert len(json.loads((out / "episodes" / "reused.json").read_bytes())) == 4
+    assert take_episodes(replace(PLAN, driver="careful"), tmp_path / "other driver", [driven]) == 0
+    with pytest.raises(DataError, match="reuse: expected a folder of results"):
+        take_episodes(PLAN, out, [tmp_path])
 
 
 def changed(text: str, column: str, value: str) -> str:
