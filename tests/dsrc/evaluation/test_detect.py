@@ -151,7 +151,9 @@ def test_a_condition_says_whose_sweeps_are_corrupted(
     monkeypatch: pytest.MonkeyPatch, who: str, parsed: str | tuple[int, int]
 ) -> None:
     seen = []
-    monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", lambda *given, who, **_: seen.append(who))
+    monkeypatch.setattr(
+        "sensors.corruptions.condition.corrupt_frame", lambda *_, corrupted_agents, **__: seen.append(corrupted_agents)
+    )
     corrupted(toy_frame(0), Condition.of("fog", 5, agents=who), seed=3)
     assert seen == [parsed]
 

@@ -235,7 +235,7 @@ def test_a_page_sums_up_many_pairs_and_links_the_whole_table(tmp_path: Path) -> 
 def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path: Path) -> None:
     write_drives(tmp_path / "test")
     pair = DifferenceSpec(method="DSRC", baseline="plain")
-    settings = {"corruptions": ("beam_missing",), "differences": (pair,), "families": ("physical", "paper")}
+    settings = {"corruption": ("beam_missing",), "differences": (pair,), "family": ("physical", "paper")}
     methods = {"DSRC": [("dsrc", 0), ("dsrc", 1)], "plain": [("attfuse", 0)], "alone": [("no-collaboration", 0)]}
     result = run_plan(make_plan(tmp_path, methods, sweeps=ParameterSweeps(loss=(0.5,)), **settings), tmp_path / "out")
     assert result.frames == {"made up": (2, 2)}
