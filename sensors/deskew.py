@@ -88,7 +88,7 @@ def deskew_objects(sweep: Sweep, object_id: NDArray[np.integer], path: Path) -> 
     Args:
         sweep: any sweep; raw points stay raw.
         object_id: (N,) ids, each once.
-        path: of N bodies over the sweep: `RayScene.bodies.path`, or `coasting` where only velocities are known.
+        path: of N bodies over the sweep: `RayScene.bodies.path`.
 
     Raises:
         DataError: firing times are unknown, a path is shorter than the sweep, or the points are raw and the sensor's
@@ -109,23 +109,6 @@ def deskew_objects(sweep: Sweep, object_id: NDArray[np.integer], path: Path) -> 
         poses, row = firing_poses(sweep)
         points = moved(invert(poses)[row], points)
     return replace(sweep, points=points.astype(np.float32))
-
-
-def coasting(velocity: NDArray[np.floating], time_s: float, reach_s: float = 0.1) -> Path:
-    """Return paths of bodies that keep their velocity and heading, for `deskew_objects`.
-
-    Positions cancel as long as no body turns, so they are zero at `time_s`.
-
-    Args:
-        velocity: (N, 2) or (N, 3) in the world, m/s.
-        time_s: an instant of the sweep, s.
-        reach_s: length of the paths before and after it, s.
-    """
-    velocity = np.asarray(velocity, np.float64)
-    away = reach_s * np.array([-1.0, 1.0])
-    xyz = np.zeros((len(velocity), 2, 3))
-    xyz[:, :, : velocity.shape[1]] = velocity[:, None] * away[:, None]
-    return Path(time_s + away, xyz, np.zeros_like(xyz))
 
 
 def _referred(sweep: Sweep, points: NDArray[np.float64], shift_s: float) -> tuple[Sweep, NDArray[np.float64]]:

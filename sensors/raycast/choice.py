@@ -14,13 +14,12 @@ VARIABLE = "DSRC_LIDAR_ENGINE"
 log = logging.getLogger(__name__)
 
 
-def open_engine(name: str | None = None, *, robust: bool = True) -> Engine:
+def open_engine(name: str | None = None) -> Engine:
     """Return an engine, one per process and kind.
 
     Args:
         name: one of `ENGINES`, None for that of the environment variable `DSRC_LIDAR_ENGINE` or else `auto`: the fused
             engine if it passes its self-test, which is done once, otherwise the public one, with a warning.
-        robust: watertight at shared edges, for an eighth of the speed.
 
     Raises:
         SettingsError: unknown engine, or the fused one was named and cannot run.
@@ -30,30 +29,30 @@ def open_engine(name: str | None = None, *, robust: bool = True) -> Engine:
         what = "engine" if name is not None else VARIABLE
         raise SettingsError(complaint("LiDAR", what, "the name of an engine", wanted, did_you_mean(wanted, ENGINES)))
     if wanted == "public":
-        return _public(robust)
-    engine, fault = _fused(robust)
+        return _public()
+    engine, fault = _fused()
     if engine is not None:
         return engine
     if wanted == "fused":
         raise SettingsError(f"LiDAR: the fused engine cannot run here: {fault}")
-    return _public(robust)
+    return _public()
 
 
-@lru_cache(maxsize=2)
-def _public(robust: bool) -> Engine:
+@lru_cache(maxsize=1)
+def _public() -> Engine:
     from sensors.raycast.public.engine import PublicEngine
 
-    return PublicEngine(robust=robust)
+    return PublicEngine()
 
 
-@lru_cache(maxsize=2)
-def _fused(robust: bool) -> tuple[Engine | None, str]:
+@lru_cache(maxsize=1)
+def _fused() -> tuple[Engine | None, str]:
     try:
         from sensors.raycast.fused.engine import FusedEngine
         from sensors.raycast.fused.selftest import self_test
 
-        engine = FusedEngine(robust=robust)
-        self_test(engine, _public(robust))
+        engine = FusedEngine()
+        self_test(engine, _public())
         return engine, ""
     # Any failure of the compiler or of the foreign library leaves the slower engine usable.
     except Exception as error:

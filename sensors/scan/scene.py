@@ -31,12 +31,7 @@ class RayScene:
     """Static world and the bodies in it; see `with_bodies`."""
 
     def __init__(
-        self,
-        static: trimesh.Trimesh | None,
-        *,
-        body_mesh: BodyMesh | None = None,
-        engine: str | None = None,
-        robust: bool = True,
+        self, static: trimesh.Trimesh | None, *, body_mesh: BodyMesh | None = None, engine: str | None = None
     ) -> None:
         """Prepare the static world.
 
@@ -45,13 +40,12 @@ class RayScene:
                 bodies alone.
             body_mesh: meshes of actors; `sim.bodies.choice.body_mesh` when left out.
             engine: see `sensors.raycast.open_engine`.
-            robust: watertight at shared edges, for an eighth of the speed.
 
         Raises:
             DataError: not a mesh, no faces, NaN, or faces of unknown vertices or materials.
             SettingsError: unknown engine, or one that cannot run.
         """
-        self.engine = open_engine(engine, robust=robust)
+        self.engine = open_engine(engine)
         self.bodies: Bodies = _NO_BODIES
         self._world = StaticWorld(*(_NO_MESH if static is None else mesh_arrays(static, "static world")))
         self._body_mesh = body_mesh

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Collection
-from typing import Literal
 
 import numpy as np
 import shapely
@@ -10,11 +9,8 @@ from numpy.typing import NDArray
 
 from sim.traffic.base import Actors, Limits
 
-Attention = Literal["attentive", "distracted", "blind"]
-
-REACTION_S: dict[Attention, float] = {"attentive": 0.75, "distracted": 2.0, "blind": math.inf}
-"""Time from when a body is in a driver's way to braking, s: the careful driver of UN R157, one who looks elsewhere (the
-time of a glance into the car, assumed), and one who never looks."""
+REACTION_S = 0.75
+"""Time from when a body is in a driver's way to braking, s: that of the careful driver of UN R157."""
 
 NEAR_M = 40.0
 """Distance within which drivers look for such bodies, m."""
@@ -33,8 +29,7 @@ class YieldShim:
     before it and as its vehicle can, and drives on half a second after it has gone.
     """
 
-    def __init__(self, attention: Attention = "attentive") -> None:
-        self._reaction_s = REACTION_S[attention]
+    def __init__(self) -> None:
         self._since: dict[int, float] = {}
         self._last: dict[int, float] = {}
 
@@ -56,7 +51,10 @@ class YieldShim:
             limits: see `DrivableTraffic.limits`.
             step_s: time step, s.
         """
-        bodies = [(actors.boxes.center[row, :2], _outline(actors, row)) for row in map(actors.row, unseen)]
+        bodies = [
+            (actors.boxes.center[row, :2], shapely.Polygon(actors.boxes[row : row + 1].bev_polygons()[0]))
+            for row in map(actors.row, unseen)
+        ]
         found = {}
         for driver in sorted(set(drivers) - set(unseen)):
             row = actors.row(driver)
@@ -68,7 +66,7 @@ class YieldShim:
                 self._last[driver] = actors.time_s
             elif actors.time_s - self._last.get(driver, -math.inf) > _RELEASE_S:
                 self._since.pop(driver, None)
-            if actors.time_s - self._since.get(driver, math.inf) < self._reaction_s - 1e-9:
+            if actors.time_s - self._since.get(driver, math.inf) < REACTION_S - 1e-9:
                 continue
             if driver in self._since:
                 room = max(gap - _STOP_M, 0.0)
@@ -99,7 +97,3 @@ def _gap(
             if along > 0.0:
                 nearest = min(nearest, max(along - 0.5 * length, 0.0))
     return nearest
-
-
-def _outline(actors: Actors, row: int) -> shapely.Polygon:
-    return shapely.Polygon(actors.boxes[row : row + 1].bev_polygons()[0])

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensors.deskew import coasting, deskew, deskew_frame, deskew_objects
+from sensors.deskew import deskew, deskew_frame, deskew_objects
 from sensors.frame import AgentFrame, Frame
 from sensors.motion import Path
 from sensors.optics.beams import beams_of
@@ -91,6 +91,13 @@ def off_the_planes(sweep: Sweep, offset: float = 0.0) -> float:
 
 @pytest.mark.parametrize("to", ["middle", "start", "end"])
 @pytest.mark.parametrize("turn", [0.0, 1.0])
+def straight(velocity: np.ndarray, time_s: float) -> Path:
+    """Paths of bodies of (N, 3) velocities; positions cancel as long as no body turns."""
+    away = np.array([-0.1, 0.1])
+    xyz = velocity[:, None] * away[:, None]
+    return Path(time_s + away, xyz, np.zeros_like(xyz))
+
+
 def test_deskewing_straightens_static_points_bent_by_the_sensors_motion(to: str, turn: float) -> None:
     raw = measured(driving(turn=turn))
     assert off_the_planes(raw) > 0.05
@@ -165,14 +172,14 @@ def test_a_moving_car_is_sheared_by_its_speed_times_column_time_and_deskewed(to:
     shear = seen(sweep)[on, 0] - rear_x
     assert np.ptp(shear) > 0.4
     np.testing.assert_allclose(shear, CAR_MPS[0] * sweep.time_offset[on], atol=1e-4)
-    upright = deskew_objects(sweep, np.array([1000]), coasting(CAR_MPS[None, :2], sweep.time_s))
+    upright = deskew_objects(sweep, np.array([1000]), straight(CAR_MPS[None], sweep.time_s))
     np.testing.assert_allclose(seen(upright)[on, 0], rear_x, atol=1e-4)
     np.testing.assert_allclose(upright.points[~on], sweep.points[~on], atol=1e-5)
 
 
 def test_raw_points_of_a_car_are_deskewed_too() -> None:
     raw = measured(driving(), (ROAD, REAR))
-    ids, path = np.array([999, 1000]), coasting(np.array([[90.0, 0.0], CAR_MPS[:2]]), NOW_S)
+    ids, path = np.array([999, 1000]), straight(np.array([[90.0, 0.0, 0.0], CAR_MPS]), NOW_S)
     made = deskew_objects(raw, ids, path)
     assert made.motion == "raw"
     np.testing.assert_allclose(

@@ -12,7 +12,7 @@ counted up to 63, whatever the sensor; the bin of an elevation is computed in si
 norm over all four columns, the intensity included, unless only three are given.
 """
 
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from sensors.sweep import Sweep
 
 RingSource = Literal["sweep", "azimuth_wrap", "elevation", "k_means"]
 """Source of rings: the sweep itself, or an estimate."""
-RING_SOURCES: tuple[RingSource, ...] = get_args(RingSource)
 
 LASERS = 64
 """Number of rings that every estimate assumes."""

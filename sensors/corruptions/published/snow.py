@@ -33,10 +33,10 @@ Quirks, as switches:
   one f = 0 and the darkest is 0.
 * `noise_factor` of None leaves the noise floor out. On intensities like CARLA's, exp(-0.004 r), it removes most points
   and all nearer than 10 m, without any snow.
-* Beams across azimuth 0 (`whole_seam`), see `snow_beams`.
+* Beams across azimuth 0, see `snow_beams`.
 * A flake nearer than 0.9 m is before the receiver's view. One that takes a whole beam there, in heavy snow 3 to 10 of
   13,000 beams, leaves it without any echo, and the strongest bin is then the first: the point moves to d = -c tau / 2,
-  1.5 m away on the other side of the sensor. With `silent_stay` it stays.
+  1.5 m away on the other side of the sensor.
 
 Without the calibration the model is another one, and `corrupt` warns: touched points miss what the focus adds, and more
 of them fall below the noise floor. The published street of 64 rings then loses 22 / 18 / 14 % of its points in the
@@ -56,7 +56,7 @@ from sensors.corruptions.physics.notice import notice
 from sensors.corruptions.physics.receiver import overlap
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
 from sensors.corruptions.published.echo import pulse
-from sensors.corruptions.published.ground import Plane, fit_plane, ground_of, noise_floor, noise_line
+from sensors.corruptions.published.ground import fit_plane, ground_of, noise_floor, noise_line
 from sensors.corruptions.published.rings import LASERS, RingSource, rings_from
 from sensors.corruptions.published.snow_beams import Shares, shares_of
 from sensors.corruptions.published.snow_discs import DISCS, Law, disc_sample
@@ -101,8 +101,6 @@ class PaperSnow(SeveritySettings, frozen=True, kw_only=True):
         last_bin: echoes reach to their last bin.
         darkest: intensities are at least those of the calibration.
         noise_factor: of the noise line; None for no noise floor.
-        whole_seam: beams across azimuth 0 are treated like all others.
-        silent_stay: points of beams without any echo stay where they are.
         calibration: npz file of the HDL-64E's focus.
         rings: source of the channels.
     """
@@ -123,8 +121,6 @@ class PaperSnow(SeveritySettings, frozen=True, kw_only=True):
     last_bin: bool = False
     darkest: bool = False
     noise_factor: float | None = 0.7
-    whole_seam: bool = False
-    silent_stay: bool = False
     calibration: str | None = None
     rings: RingSource = "elevation"
 
@@ -137,7 +133,6 @@ PUBLISHED: dict[str, PaperSnow] = {
     "multicorrupt_1": PaperSnow(snowfall_mm_h=0.5, fall_speed_mps=1.2, last_bin=True, rings="sweep"),
     "multicorrupt_2": PaperSnow(snowfall_mm_h=2.5, fall_speed_mps=1.6, last_bin=True, rings="sweep"),
     "multicorrupt_3": PaperSnow(snowfall_mm_h=1.5, fall_speed_mps=0.4, last_bin=True, rings="sweep"),
-    "hahner_repaired": PaperSnow(own_power=True, last_bin=True, darkest=True, whole_seam=True, silent_stay=True),
 }
 
 
@@ -166,13 +161,11 @@ class SnowyCloud(NamedTuple):
         cloud: (P, 4 or more) float64, all points of the input; intensity of 0 to 255, rounded.
         label: (P,) `UNTOUCHED`, `DIMMED` or `MOVED`.
         kept: (P,) mask of points above the noise floor.
-        target_share: (P,) share of the beam on the target.
     """
 
     cloud: Array
     label: NDArray[np.int64]
     kept: NDArray[np.bool_]
-    target_share: Array
 
 
 def corrupt(sweep: Sweep, settings: PaperSnow, rng: RandomSource) -> Sweep:
@@ -202,7 +195,6 @@ def apply_snow(
     settings: PaperSnow,
     rng: RandomSource | None = None,
     *,
-    plane: Plane | None = None,
     floor: Array | None = None,
 ) -> SnowyCloud:
     """Return a cloud in snow.
@@ -213,7 +205,6 @@ def apply_snow(
         discs: flakes of each channel, by `discs(channel)` or as a sequence: (F, 3) x, y, radius, m.
         settings: of the snow; its amount is in the discs.
         rng: for the ground plane, if needed.
-        plane: of the ground, instead of the cloud's own.
         floor: (3,) parabola of the noise floor, highest power first, instead of the cloud's own.
     """
     before = cloud.astype(np.float64)
@@ -227,9 +218,9 @@ def apply_snow(
     out[heard, 3] = intensity[heard]
     out[:, 3] = np.round(out[:, 3])
     if floor is None:
-        floor = _floor(before, settings, plane, rng)
+        floor = _floor(before, settings, rng)
     kept = moved | (out[:, 3] > np.polyval(floor, reach)) if floor is not None else np.ones(len(out), bool)
-    return SnowyCloud(out, label, kept, shares.target)
+    return SnowyCloud(out, label, kept)
 
 
 @lru_cache(maxsize=4)
@@ -252,12 +243,6 @@ def read_calibration(path: str) -> Calibration:
     return Calibration(slope, (1.0 - 100.0 * distance / 13100.0) ** 2, darkest)
 
 
-def _calibration(settings: PaperSnow) -> Calibration:
-    if settings.calibration is None:
-        return Calibration(*(np.zeros(LASERS) for _ in Calibration._fields))
-    return read_calibration(settings.calibration)
-
-
 def _all_shares(
     cloud: Array,
     reach: Array,
@@ -272,7 +257,7 @@ def _all_shares(
     for c in np.unique(channel).tolist():
         rows = np.flatnonzero(channel == c)
         flakes = discs(c) if callable(discs) else discs[c]
-        found = shares_of(azimuth[rows], reach[rows], flakes, settings.divergence_rad, whole_seam=settings.whole_seam)
+        found = shares_of(azimuth[rows], reach[rows], flakes, settings.divergence_rad)
         target[rows] = found.target
         parts.append(found._replace(beam=rows[found.beam]))
     beam = np.concatenate([p.beam for p in parts] or [np.zeros(0, np.int64)])
@@ -286,7 +271,8 @@ def _strongest(
     intensity: Array, reach: Array, channel: NDArray[np.integer], shares: Shares, settings: PaperSnow
 ) -> tuple[Array, Array]:
     """Return (P,) range along the ray and intensity of the strongest bin in beams with flakes; NaN for all others."""
-    optics = _calibration(settings)
+    known = settings.calibration
+    optics = Calibration(*np.zeros((3, LASERS))) if known is None else read_calibration(known)
     brightest = np.where(np.isin(channel, _WEAK_LASERS), _WEAK, SCALE)
     hit, flake = np.unique(shares.beam, return_inverse=True)
     far = reach[hit]
@@ -300,12 +286,11 @@ def _strongest(
     power, peak_bin = _peaks(
         beam, np.concatenate([shares.range_m, far]), np.concatenate([flakes, target]), settings.last_bin
     )
-    heard = power > 0.0 if settings.silent_stay else np.ones(len(hit), bool)
-    row, d = hit[heard], peak_bin[heard] / 10.0 - 0.5 * _PULSE_M
-    bright = power[heard] + brightest[row] * optics.focus(channel[row], d)
-    place, level = np.full(len(reach), np.nan), np.full(len(reach), np.nan)
-    place[row] = d
-    level[row] = np.trunc(np.clip(bright, optics.darkest[channel[row]] if settings.darkest else 0.0, brightest[row]))
+    d = peak_bin / 10.0 - 0.5 * _PULSE_M
+    bright = power + brightest[hit] * optics.focus(channel[hit], d)
+    place, level = np.full((2, len(reach)), np.nan)
+    place[hit] = d
+    level[hit] = np.trunc(np.clip(bright, optics.darkest[channel[hit]] if settings.darkest else 0.0, brightest[hit]))
     return place, level
 
 
@@ -349,14 +334,12 @@ def _peaks(
     return power, peak_bin
 
 
-def _floor(cloud: Array, settings: PaperSnow, plane: Plane | None, rng: RandomSource | None) -> Array | None:
+def _floor(cloud: Array, settings: PaperSnow, rng: RandomSource | None) -> Array | None:
     """Return the parabola of the noise floor; None without one or with too little ground."""
     if settings.noise_factor is None:
         return None
-    if plane is None:
-        if rng is None:
-            raise ValueError("snowed needs a plane, a floor or a generator to find them with")
-        plane = fit_plane(cloud, rng)
-    ground = ground_of(cloud, plane)
+    if rng is None:
+        raise ValueError("apply_snow needs a floor, or a generator to find one with")
+    ground = ground_of(cloud, fit_plane(cloud, rng))
     line = noise_line(ground, cloud[ground.rows, 3])
     return None if line is None else noise_floor(ground, line, settings.noise_factor)

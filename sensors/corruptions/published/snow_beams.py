@@ -4,7 +4,7 @@ A beam is a fan of 3 mrad in the plane of its ring around its azimuth. A disc ta
 far as no nearer disc does, if its range in the plane is less than that of the target in space; the target gets the
 rest.
 
-Quirk (`whole_seam` repairs it): in a beam across azimuth 0 a disc that lies wholly on the negative side is taken for
+Quirk: in a beam across azimuth 0 a disc that lies wholly on the negative side is taken for
 one a full turn away. It keeps its share, shades no disc on the other side, and the target then counts as wholly seen,
 so that shares sum to more than 1.
 """
@@ -36,7 +36,7 @@ class Shares(NamedTuple):
     target: Array
 
 
-def shares_of(azimuth: Array, target_m: Array, discs: Array, divergence: float, *, whole_seam: bool = False) -> Shares:
+def shares_of(azimuth: Array, target_m: Array, discs: Array, divergence: float) -> Shares:
     """Return the shares of discs in the beams of one ring.
 
     Args:
@@ -44,13 +44,10 @@ def shares_of(azimuth: Array, target_m: Array, discs: Array, divergence: float, 
         target_m: (B,) range of their targets.
         discs: (F, 3) x, y, radius, m.
         divergence: full width of a beam, rad.
-        whole_seam: beams across azimuth 0 are treated like all others.
     """
     beam, range_m, low, high = _meetings(azimuth, target_m, np.asarray(discs, np.float64), divergence)
     axis = np.mod(azimuth + np.pi, _TURN) - np.pi
-    astray = np.zeros(len(beam), bool)
-    if not whole_seam:
-        astray = (np.abs(axis)[beam] < 0.5 * divergence) & (axis[beam] + high <= 0.0)
+    astray = (np.abs(axis)[beam] < 0.5 * divergence) & (axis[beam] + high <= 0.0)
     away = np.where(astray, _TURN, 0.0)
     share = _owned_shares(beam, low + away, high + away) / divergence
     target = 1.0 - np.bincount(beam, share, len(azimuth))

@@ -110,22 +110,6 @@ class WetCloud(NamedTuple):
     kept: NDArray[np.bool_]
 
 
-class Fresnel(NamedTuple):
-    """Coefficients of a flat interface, each shaped as the angle.
-
-    Attributes:
-        reflected_s, reflected_p: amplitudes.
-        passed_s, passed_p: amplitudes.
-        refracted: angle behind the interface, rad.
-    """
-
-    reflected_s: Array
-    passed_s: Array
-    reflected_p: Array
-    passed_p: Array
-    refracted: Array
-
-
 def corrupt(sweep: Sweep, settings: PaperWetGround, rng: RandomSource) -> Sweep:
     """Dim or remove the points on the ground; the others are unchanged."""
     if settings.water_mm == 0.0 or len(sweep) == 0:
@@ -179,39 +163,32 @@ def apply_wet_ground(
     return WetCloud(intensity, ground.rows, kept)
 
 
-def fresnel(angle: Array, before: float, behind: float) -> Fresnel:
-    """Return the Fresnel amplitudes at a flat interface.
+def fresnel(angle: Array, before: float, behind: float) -> tuple[Array, Array]:
+    """Return the amplitudes that a flat interface reflects, s and p, shaped as the angle.
 
     Args:
         angle: of incidence, rad.
         before: refractive index on the side of the light.
         behind: refractive index on the other side.
     """
-    refracted = np.arcsin(np.clip(before / behind * np.sin(angle), -1.0, 1.0))
-    inward, onward = np.cos(angle), np.cos(refracted)
+    inward = np.cos(angle)
+    onward = np.cos(np.arcsin(np.clip(before / behind * np.sin(angle), -1.0, 1.0)))
     s, p = before * inward + behind * onward, behind * inward + before * onward
-    return Fresnel(
-        reflected_s=(before * inward - behind * onward) / s,
-        passed_s=2.0 * before * inward / s,
-        reflected_p=(behind * inward - before * onward) / p,
-        passed_p=2.0 * before * inward / p,
-        refracted=refracted,
-    )
+    return (before * inward - behind * onward) / s, (behind * inward - before * onward) / p
 
 
-def film(angle: Array, reflectivity: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the mirrored and the scattered power of diffuse ground under water, s and p.
+def film(angle: Array, reflectivity: Array) -> tuple[Array, Array]:
+    """Return the power that diffuse ground under water scatters, s and p, shaped as `angle * reflectivity`.
 
     Args:
         angle: of incidence, rad.
-
-    Returns:
-        Mirrored s, scattered s, mirrored p, scattered p, shaped as `angle * reflectivity`.
     """
-    interface = fresnel(angle, AIR, WATER)
-    mirrored = interface.reflected_s**2, interface.reflected_p**2
-    scattered = [(1.0 - m) ** 2 * reflectivity / (1.0 - reflectivity * m) for m in mirrored]
-    return mirrored[0], scattered[0], mirrored[1], scattered[1]
+    mirrored_s, mirrored_p = (amplitude**2 for amplitude in fresnel(angle, AIR, WATER))
+    return _through(mirrored_s, reflectivity), _through(mirrored_p, reflectivity)
+
+
+def _through(mirrored: Array, reflectivity: Array) -> Array:
+    return (1.0 - mirrored) ** 2 * reflectivity / (1.0 - reflectivity * mirrored)
 
 
 def _dimmed(ground: FittedGround, intensity: Array, emitted: NDArray[np.floating], settings: PaperWetGround) -> Array:
@@ -219,7 +196,6 @@ def _dimmed(ground: FittedGround, intensity: Array, emitted: NDArray[np.floating
     angle = np.arccos(ground.cosine)
     level = emitted * ground.cosine
     reflectivity = np.divide(intensity, level, out=np.zeros(len(level)), where=level != 0)
-    _, scattered_s, _, scattered_p = film(angle, np.clip(reflectivity, *_REFLECTIVITIES))
     filled = min(settings.water_mm / PAVEMENT_MM, 1.0)
-    through = np.maximum(scattered_s, scattered_p) / np.maximum(angle, 1e-9)
+    through = np.maximum(*film(angle, np.clip(reflectivity, *_REFLECTIVITIES))) / np.maximum(angle, 1e-9)
     return np.clip(level * ((1.0 - filled) * reflectivity + filled * through), 0.0, intensity)

@@ -26,6 +26,7 @@ _FORMAT_UINT3, _FORMAT_FLOAT3 = 0x5003, 0x9003
 _BUFFER_INDEX, _BUFFER_VERTEX = 0, 1
 _TRIANGLE, _INSTANCE = 0, 121
 _SCENE_DYNAMIC, _SCENE_ROBUST = 1 << 0, 1 << 2
+"""Robust: watertight at shared edges, for an eighth of the speed."""
 _BUILD_LOW = 0
 _VERSION = 0
 _NATIVE_WIDTHS = {16: 34, 8: 33, 4: 32}
@@ -136,7 +137,7 @@ def library() -> Library:
 class Hierarchy:
     """Committed Embree scene of one solid."""
 
-    def __init__(self, solid: Solid, robust: bool) -> None:
+    def __init__(self, solid: Solid) -> None:
         """Build it; the solid's arrays are copied because Embree reads 4 bytes beyond the last vertex."""
         lib = library()
         self._lib = lib
@@ -144,7 +145,7 @@ class Hierarchy:
         self._faces = np.ascontiguousarray(solid.faces, np.uint32)
         self.material: NDArray[np.uint8] = np.ascontiguousarray(solid.material, np.uint8)
         self.handle: int = lib.api.rtcNewScene(lib.device)
-        lib.api.rtcSetSceneFlags(self.handle, _SCENE_ROBUST if robust else 0)
+        lib.api.rtcSetSceneFlags(self.handle, _SCENE_ROBUST)
         if len(self._faces):
             geometry = lib.api.rtcNewGeometry(lib.device, _TRIANGLE)
             share, vertices, faces = lib.api.rtcSetSharedGeometryBuffer, self._vertices, self._faces
@@ -172,12 +173,12 @@ class InstanceScene:
         steps: (N,) int64 motion time steps of each slot, 0 before it was placed.
     """
 
-    def __init__(self, robust: bool) -> None:
+    def __init__(self) -> None:
         """Make an empty scene."""
         lib = library()
         self._lib = lib
         self.handle: int = lib.api.rtcNewScene(lib.device)
-        lib.api.rtcSetSceneFlags(self.handle, _SCENE_DYNAMIC | (_SCENE_ROBUST if robust else 0))
+        lib.api.rtcSetSceneFlags(self.handle, _SCENE_DYNAMIC | _SCENE_ROBUST)
         lib.api.rtcSetSceneBuildQuality(self.handle, _BUILD_LOW)
         self.geometry: NDArray[np.int64] = np.zeros(0, np.int64)
         self.steps: NDArray[np.int64] = np.zeros(0, np.int64)

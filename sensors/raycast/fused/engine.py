@@ -60,15 +60,14 @@ class FusedEngine:
 
     name = "fused"
 
-    def __init__(self, *, robust: bool = True) -> None:
+    def __init__(self) -> None:
         """Load Embree; `EngineUnavailable` when embreex's wheel has no known version."""
         self._library = library()
         # One instance scene serves all callers of the process.
         self._lock = threading.Lock()
         _engines.add(self)
-        self._robust = robust
         self._hierarchies: WeakKeyDictionary[Solid, Hierarchy] = WeakKeyDictionary()
-        self._moving = InstanceScene(robust)
+        self._moving = InstanceScene()
         self._placed: _Placed | None = None
         self._single = _scratch(self._library.width)
         address = self._library.address
@@ -159,7 +158,7 @@ class FusedEngine:
         """Return the hierarchy of a solid, built at first use and kept as long as the solid."""
         known = self._hierarchies.get(solid)
         if known is None:
-            known = self._hierarchies[solid] = Hierarchy(solid, self._robust)
+            known = self._hierarchies[solid] = Hierarchy(solid)
         return known
 
     def _fleet(self, solids: tuple[Solid, ...]) -> _Fleet:

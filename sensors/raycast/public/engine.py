@@ -33,9 +33,8 @@ class PublicEngine:
 
     name = "public"
 
-    def __init__(self, *, robust: bool = True) -> None:
-        """Make an engine; with `robust` no ray leaks through the edge that two triangles share."""
-        self._robust = robust
+    def __init__(self) -> None:
+        """Make an engine."""
         self._building = threading.Lock()
         self._hierarchies: WeakKeyDictionary[Solid, _Hierarchy] = WeakKeyDictionary()
 
@@ -123,15 +122,16 @@ class PublicEngine:
     def _hierarchy(self, solid: Solid) -> "_Hierarchy":
         with self._building:
             if solid not in self._hierarchies:
-                self._hierarchies[solid] = _Hierarchy(solid, self._robust)
+                self._hierarchies[solid] = _Hierarchy(solid)
             return self._hierarchies[solid]
 
 
 class _Hierarchy:
     """The committed Embree scene of one solid."""
 
-    def __init__(self, solid: Solid, robust: bool) -> None:
-        self._scene = EmbreeScene(robust=robust)
+    def __init__(self, solid: Solid) -> None:
+        # Robust: no ray leaks through the edge that two triangles share.
+        self._scene = EmbreeScene(robust=True)
         if len(solid.faces):
             TriangleMesh(
                 self._scene, np.ascontiguousarray(solid.vertices), np.ascontiguousarray(solid.faces, dtype=np.int32)

@@ -10,8 +10,8 @@ from sim.traffic.base import Actors, Limits
 from sim.traffic.reactions import YieldShim
 
 # Bits of SUMO's speed mode, see `sim.traffic.sumo.traffic`: its own; harder brakes than the comfortable ones for who
-# yields to what SUMO does not see; no limits for a vehicle that is placed, or that a crash stops within a step.
-SUMO_SPEED_MODE, _YIELD_SPEED_MODE, FREE_SPEED_MODE = 31, 31 - 4, 0
+# yields to what SUMO does not see; no limits for a vehicle that is placed.
+SUMO_SPEED_MODE, _YIELD_SPEED_MODE, _FREE_SPEED_MODE = 31, 31 - 4, 0
 # Ways of SUMO to map a place to its lanes, and how far off them it may be.
 _ON_ITS_ROUTE, _EXACTLY_THERE, _ANYWHERE_M = 1, 2, 1e5
 
@@ -19,8 +19,8 @@ _ON_ITS_ROUTE, _EXACTLY_THERE, _ANYWHERE_M = 1, 2, 1e5
 class PlacedVehicles:
     """Poses of placed vehicles, by name, and the brakes of others for them."""
 
-    def __init__(self, shim: YieldShim) -> None:
-        self._shim = shim
+    def __init__(self) -> None:
+        self._shim = YieldShim()
         self._poses: dict[str, tuple[float, float, float, float]] = {}
         self._lane_changes: dict[str, int] = {}
         self._yielding: set[str] = set()
@@ -38,7 +38,7 @@ class PlacedVehicles:
         if name not in self._poses:
             self._lane_changes[name] = sumo.vehicle.getLaneChangeMode(name)
             sumo.vehicle.setLaneChangeMode(name, 0)
-        sumo.vehicle.setSpeedMode(name, FREE_SPEED_MODE)
+        sumo.vehicle.setSpeedMode(name, _FREE_SPEED_MODE)
         self._poses[name] = (float(front[0]), float(front[1]), float(90.0 - np.degrees(yaw)) % 360.0, speed_mps)
 
     def release(self, sumo: Any, name: str) -> None:
@@ -77,7 +77,7 @@ class PlacedVehicles:
     ) -> None:
         """Set the speeds of the drivers who yield in the next step, and give back those who do no longer.
 
-        A vehicle that a command or a crash took from its driver meanwhile is left as it is.
+        A vehicle that a command took from its driver meanwhile is left as it is.
 
         Args:
             sumo: the libsumo module of the running simulation.

@@ -19,11 +19,10 @@ from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
 from sim.traffic.base import PARKED, Actors, Limits, TrafficLight, check_command, check_place
 from sim.traffic.parking import parked_cars
-from sim.traffic.reactions import Attention, YieldShim
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.input import check_signals, signals_xml, sumo_options
 from sim.traffic.sumo.lane_path import lane_path
-from sim.traffic.sumo.placed import FREE_SPEED_MODE, SUMO_SPEED_MODE, PlacedVehicles
+from sim.traffic.sumo.placed import SUMO_SPEED_MODE, PlacedVehicles
 from sim.traffic.sumo.red_light import red_light_speed
 
 FIRST_ID = 1000
@@ -69,18 +68,16 @@ class SumoTraffic:
     Args:
         scenario: scenario to simulate; the constructor runs its warm-up.
         seed: root seed of trips, drivers and body models; equal seeds give equal actors in every process.
-        attention: of drivers for vehicles that are placed off their lanes (`place`).
 
     Raises:
         ScenarioError: network or demand is invalid.
         TrafficError: a simulation already runs in this process, or SUMO refuses the input.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, attention: Attention = "attentive") -> None:
+    def __init__(self, scenario: Scenario, seed: int) -> None:
         self.step_s = scenario.step_s
         self._seed = seed
-        self._placed = PlacedVehicles(YieldShim(attention))
-        self._crashed: set[str] = set()
+        self._placed = PlacedVehicles()
         self._users: dict[str, _RoadUser] = {}
         self._commanded: dict[str, float] = {}
         self._actors: Actors | None = None
@@ -130,14 +127,9 @@ class SumoTraffic:
         self.close()
 
     def command(self, object_id: int, speed_mps: float | None) -> None:
-        """Drive a vehicle, see `DrivableTraffic.command`; it stops at red lights whatever the command.
-
-        One that crashed stays where it is.
-        """
+        """Drive a vehicle, see `DrivableTraffic.command`; it stops at red lights whatever the command."""
         check_command(speed_mps)
         name = self._vehicle(object_id)
-        if name in self._crashed:
-            return
         if speed_mps is None:
             self._placed.release(self._sumo, name)
             self._sumo.vehicle.setSpeedMode(name, SUMO_SPEED_MODE)
@@ -156,22 +148,6 @@ class SumoTraffic:
         front = np.asarray(xy) + 0.5 * self._users[name].kind.size[0] * np.array([np.cos(yaw), np.sin(yaw)])
         self._placed.put(self._sumo, name, front, yaw, float(speed_mps))
         self._commanded[name] = float(speed_mps)
-
-    def crash(self, *object_ids: int) -> None:
-        """Stop road users at once, as by a crash; they stay where they are, as obstacles. Parked cars stay anyway.
-
-        Raises:
-            KeyError: one is not on the road.
-        """
-        for object_id in object_ids:
-            name = self.actors.name[self.actors.row(object_id)]
-            if self._users[name].is_person:
-                self._sumo.person.setSpeed(name, 0.0)
-            elif name not in self._parked.name:
-                self._crashed.add(name)
-                self._sumo.vehicle.setLaneChangeMode(name, 0)
-                self._sumo.vehicle.setSpeedMode(name, FREE_SPEED_MODE)
-                self._sumo.vehicle.setSpeed(name, 0.0)
 
     def route(self, object_id: int, ahead_m: float) -> NDArray[np.float64]:
         """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
@@ -282,7 +258,7 @@ class SumoTraffic:
         if not self._open:
             raise TrafficError("this SUMO simulation is closed")
         for name, speed_mps in self._commanded.items():
-            if name in self._crashed or name in self._placed:
+            if name in self._placed:
                 continue
             _, comfortable, emergency = self._users[name].kind.accel_mps2
             limit_mps = red_light_speed(self._sumo, name, comfortable, self.step_s)
@@ -305,11 +281,10 @@ class SumoTraffic:
         for name in self._sumo.simulation.getArrivedIDList():
             self._commanded.pop(name, None)
             self._placed.remove(name)
-            self._crashed.discard(name)
 
     def _undriven(self, actors: Actors) -> list[int]:
         """Return the ids of the vehicles that SUMO drives."""
-        not_free = self._commanded.keys() | self._crashed | set(self._parked.name)
+        not_free = self._commanded.keys() | set(self._parked.name)
         rows = [row for row, name in enumerate(actors.name) if name not in not_free and not self._users[name].is_person]
         return [int(object_id) for object_id in actors.boxes.object_id[rows]]
 

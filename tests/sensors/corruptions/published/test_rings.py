@@ -1,9 +1,11 @@
 """Ring estimates of published code."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
-from sensors.corruptions.published.rings import RING_SOURCES, azimuth_wrap, elevation_bin, k_means, rings_from
+from sensors.corruptions.published.rings import RingSource, azimuth_wrap, elevation_bin, k_means, rings_from
 from sensors.sweep import make_sweep
 from sim.errors import DataError
 from tests.sensors.corruptions.published.goldens import arrays, cloud
@@ -53,7 +55,7 @@ def test_clusters_are_the_best_ones() -> None:
     assert (np.diff(means) < 0).all()  # ring 0 is on top
 
 
-@pytest.mark.parametrize("source", RING_SOURCES)
+@pytest.mark.parametrize("source", get_args(RingSource))
 @pytest.mark.parametrize("points", [0, 1])
 def test_hardly_any_points_have_rings_too(source: str, points: int) -> None:
     ring, rings = rings_from(street(spinning())[:points], source, "test")  # type: ignore[arg-type]
