@@ -226,12 +226,8 @@ def _contact(
         closing_mps=closing,
         delta_v_mps=others_share * closing,
         side=side,
-        at_fault=speed >= STANDING_MPS and (side != "rear" or _drives_back(ego)),
+        at_fault=speed >= STANDING_MPS and (side != "rear" or float(ego.moved @ ego.axes(0.0)[0]) < 0.0),
     )
-
-
-def _drives_back(ego: _Motion) -> bool:
-    return float(ego.moved @ ego.axes(0.0)[0]) < 0.0
 
 
 def _near(before: Actors, now: Actors, row: int) -> NDArray[np.int64]:

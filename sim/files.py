@@ -84,7 +84,9 @@ def check_output(path: Path, kind: str | None = None) -> None:
     if kind is not None and is_of != kind:
         expected = f"a new name, or a file of the same kind ({kind})"
         raise OutputError(complaint(path, "output", expected, f"a file of another kind ({is_of})"))
-    if not _is_cached(path) and not _is_signed(path, is_of) and not any(map(_has_manifest, _folders_above(path))):
+    is_cached = path.parent.name in _CACHES and _HASH.fullmatch(path.stem) is not None
+    folders = [path.parent, *path.absolute().parent.parents][: _DEPTH + 1]
+    if not is_cached and not _is_signed(path, is_of) and not any(map(_has_manifest, folders)):
         hint = "; choose another name, or replace it with --force"
         raise OutputError(complaint(path, "output", "a new name, or a file that dsrc wrote", "another file", hint))
 
@@ -129,14 +131,6 @@ def kind_of(path: Path) -> str:
 
 def _is_signed(path: Path, kind: str | None = None) -> bool:
     return any(_holds(path, mark) for mark in MARKS.get(kind or kind_of(path), ()))
-
-
-def _is_cached(path: Path) -> bool:
-    return path.parent.name in _CACHES and _HASH.fullmatch(path.stem) is not None
-
-
-def _folders_above(path: Path) -> list[Path]:
-    return [path.parent, *path.absolute().parent.parents][: _DEPTH + 1]
 
 
 def _has_manifest(folder: Path) -> bool:

@@ -80,7 +80,7 @@ def check_corruption(corruption: str | Apply, *, family: Family = "physical", se
 def _problems(run: Corrupt, seed: int, weather: bool, ordered: bool) -> Iterator[str]:
     """Yield one line per broken rule."""
     clean = example_frame()
-    empty, single = (_with_points(clean, rows) for rows in (slice(0), slice(1)))
+    empty, single = (clean.with_sweeps([agent.sweep[:few] for agent in clean.agents]) for few in (0, 1))
     signals = [remaining_signal(clean, clean)]
     for severity in SEVERITIES:
         before = _bytes(clean)
@@ -187,10 +187,6 @@ def _within(index: NDArray[np.integer], count: int) -> bool:
 def _bytes(frame: Frame) -> list[bytes]:
     sweeps = [agent.sweep for agent in frame.agents]
     return [getattr(s, name).tobytes() for s in sweeps for name in (*POINT_FIELDS, "world_from_lidar")]
-
-
-def _with_points(frame: Frame, rows: slice) -> Frame:
-    return frame.with_sweeps([agent.sweep[rows] for agent in frame.agents])
 
 
 def example_frame(index: int = 3) -> Frame:

@@ -70,7 +70,8 @@ def _delayed(frame: Frame, agent: AgentFrame, late_s: float) -> Sweep:
     sweep = agent.sweep
     path = sensor_path(agent)
     then, now = extrapolate(path, sweep.time_s - np.array([late_s, 0.0]))
-    shift = _velocity(frame, sweep) @ sweep.world_from_lidar[:2, :3] * late_s
+    velocity = np.append(frame.velocity, [[0.0, 0.0]], axis=0)[_owners(frame, sweep)]  # the last row: on no object
+    shift = velocity @ sweep.world_from_lidar[:2, :3] * late_s
     then_from_now = invert(then) @ now
     points = (sweep.points.astype(np.float64) - shift) @ then_from_now[:3, :3].T + then_from_now[:3, 3]
     moved = np.linalg.norm(points - sweep.points, axis=1) > _STILL_M
@@ -109,12 +110,6 @@ def _extrapolate_values(
     """Return (K + 2, 3) the values (K, 3) with an extrapolated one on either side."""
     slope = np.diff(values, axis=0) / np.diff(time_s)[:, None]
     return np.concatenate([[values[0] - slope[0] * reach_s], values, [values[-1] + slope[-1] * reach_s]])
-
-
-def _velocity(frame: Frame, sweep: Sweep) -> NDArray[np.float64]:
-    """Return (P, 2) velocity of each point's object in the world, m/s; 0 for the static world."""
-    owner = _owners(frame, sweep)
-    return np.where(owner[:, None] >= 0, np.append(frame.velocity, [[0.0, 0.0]], axis=0)[owner], 0.0)
 
 
 def _owners(frame: Frame, sweep: Sweep) -> NDArray[np.intp]:

@@ -99,7 +99,10 @@ def corrupt(sweep: Sweep, fog: Fog, rng: np.random.Generator) -> Sweep:
 
 def _fog_echoes(fog: Fog, rays: Rays, transmission: NDArray[np.float64], rng: np.random.Generator) -> Echo:
     """Draw the fog's echo on each ray where it could exceed the target and the threshold."""
-    echo = fog_echo(fog.extinction, _pulse(rays.sweep, fog), fog.patchiness)
+    pulse_s, spec = fog.pulse_s, rays.sweep.spec
+    if pulse_s is None:
+        pulse_s = DEFAULT_PULSE_S if spec is None else spec.pulse_s
+    echo = fog_echo(fog.extinction, pulse_s, fog.patchiness)
     strength, quantile = rays.draw(rng.standard_exponential), rays.draw(rng.random)
     scale = fog.backscatter / TARGET_BACKSCATTER
     floor = rays.floor(transmission)
@@ -111,9 +114,3 @@ def _fog_echoes(fog: Fog, rays: Rays, transmission: NDArray[np.float64], rng: np
     echoes.power[candidate] = scale * echo.strongest(between, strength[candidate])
     echoes.range_m[candidate] = echo.place(quantile[candidate], near, far)
     return echoes
-
-
-def _pulse(sweep: Sweep, fog: Fog) -> float:
-    if fog.pulse_s is not None:
-        return fog.pulse_s
-    return DEFAULT_PULSE_S if sweep.spec is None else sweep.spec.pulse_s

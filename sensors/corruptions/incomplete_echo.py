@@ -67,7 +67,9 @@ def corrupt(
     lost = int(settings.share * len(on))
     if lost == 0:
         return sweep
-    brightness = np.maximum(_brightness(sweep[on]), _LEAST_BRIGHTNESS) * speckle
+    reach = sweep[on].range.astype(np.float64)
+    # Relative to a white surface at normal incidence.
+    brightness = np.maximum(target_power(sweep[on], reach) * reach**2, _LEAST_BRIGHTNESS) * speckle
     kept = np.ones(len(sweep), bool)
     kept[on[np.argsort(brightness, kind="stable")[:lost]]] = False
     return sweep[kept]
@@ -83,9 +85,3 @@ def on_vehicles(sweep: Sweep) -> NDArray[np.bool_]:
     of_person = np.zeros(UNKNOWN_MATERIAL + 1, bool)
     of_person[list(_OF_PEOPLE)] = True
     return (sweep.object_id >= 0) & ~of_person[sweep.material]
-
-
-def _brightness(sweep: Sweep) -> NDArray[np.float64]:
-    """Return (P,) returned light, relative to a white surface at normal incidence."""
-    reach = sweep.range.astype(np.float64)
-    return target_power(sweep, reach) * reach**2

@@ -66,7 +66,10 @@ class Fan:
 
 def beams_of(spec: LidarSpec, time_s: float) -> Beams:
     """Return the rays of the sweep around `time_s`; only a rosette's depend on it."""
-    return _rosette(spec, time_s) if spec.prisms else _spinning(spec)
+    if not spec.prisms:
+        return _spinning(spec)
+    azimuth, elevation = rosette_axes(spec, time_s + spec.time_offset)
+    return _beams(spec, _padded(azimuth), _padded(elevation), None)
 
 
 @lru_cache(maxsize=8)
@@ -77,11 +80,6 @@ def _spinning(spec: LidarSpec) -> Beams:
     spread = float(np.abs(spec.azimuth_offset).max() + min(halo(spec) / max(level, 1e-9), np.pi))
     fan = Fan(azimuth, spec.elevation, spread)
     return _beams(spec, azimuth + spec.azimuth_offset[:, None], spec.elevation[:, None], fan)
-
-
-def _rosette(spec: LidarSpec, time_s: float) -> Beams:
-    azimuth, elevation = rosette_axes(spec, time_s + spec.time_offset)
-    return _beams(spec, _padded(azimuth), _padded(elevation), None)
 
 
 def _padded(columns: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,7 +30,7 @@ def import_map(source: Path, name: str = "", out: Path | None = None) -> Path:
     """
     source = Path(source)
     kind = map_kind(source)
-    name = name or _as_name(source.name[: -len(kind)])
+    name = name or re.sub("[^A-Za-z0-9_-]+", "_", source.name[: -len(kind)]).strip("_") or "place"
     if not re.fullmatch("[A-Za-z0-9_-]+", name):
         raise ScenarioError(complaint("scenario import", "name", "letters, digits, _ and -", name))
     folder = Path(out) if out is not None else Path(name)
@@ -47,10 +47,6 @@ def import_map(source: Path, name: str = "", out: Path | None = None) -> Path:
             folder.rmdir()
         shutil.move(made, folder)
     return folder
-
-
-def _as_name(stem: str) -> str:
-    return re.sub("[^A-Za-z0-9_-]+", "_", stem).strip("_") or "place"
 
 
 def _scenario(source: Path, kind: str, name: str, found: ConvertedMap) -> str:

@@ -35,7 +35,7 @@ def lta_truck(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     # The arc begins before the middle and ends in the left lane of the northern arm's exit.
     start = PathBuilder(-140.0, -inner, EAST).straight(140.0 - radius + inner)
     path = start.turn(radius, 0.5 * math.pi).straight(120.0).path()
-    meet_at = _crossing(path, outer)
+    meet_at = float(np.interp(outer, path.points[:, 1], path.along))
     pace = slowing(min(13.0, turn_mps + 4.0), turn_mps, 14.0, HIT_S)
     x = float(path.at(meet_at)[0][0])
     car_path, car_at = straight_path(x, outer, WEST, car_mps)
@@ -61,11 +61,6 @@ def lta_truck(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
     clear = block(-80.0, -LANE_M, 140.0, 2.0 * LANE_M + 9.0)
     kind = "traffic_light" if p["signals"] else "priority"
     return Layout(junction(arms, kind, 5.0), actors, (), (unit,), clear=clear)
-
-
-def _crossing(path: ReferencePath, y: float) -> float:
-    """Return the distance at which a northbound path crosses a line along x, m."""
-    return float(np.interp(y, path.points[:, 1], path.along))
 
 
 def cyclist_right_hook(p: Mapping[str, float], rng: np.random.Generator) -> Layout:
@@ -135,7 +130,9 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
     ego_path = _entering(ring_r)
     meet = ring_r * np.array([math.cos(entry), math.sin(entry)])
     meet_at = ego_path.nearest(meet) - 1.5
-    ring = _circling(ring_r, np.deg2rad(60.0), np.deg2rad(60.0) + 3.5 * math.pi)
+    start, end = np.deg2rad(60.0), np.deg2rad(60.0) + 3.5 * math.pi
+    angle = np.linspace(start, end, max(8, round(ring_r * (end - start) / 0.25)))
+    ring = ReferencePath.through(ring_r * np.column_stack([np.cos(angle), np.sin(angle)]))
     car_at = ring_r * ((entry - np.deg2rad(60.0)) % (2.0 * math.pi))
     # More turns in the ring, if needed for the time before the crash.
     while car_at - ring_mps * HIT_S < 1.0:
@@ -179,11 +176,6 @@ def roundabout_entry(p: Mapping[str, float], rng: np.random.Generator) -> Layout
 
 def _exit_angle(ring_r: float) -> float:
     return float(np.deg2rad(-90.0 - np.degrees(5.0 / ring_r)))
-
-
-def _circling(ring_r: float, start: float, end: float) -> ReferencePath:
-    angle = np.linspace(start, end, max(8, round(ring_r * (end - start) / 0.25)))
-    return ReferencePath.through(ring_r * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
 def _entering(ring_r: float) -> ReferencePath:

@@ -42,7 +42,8 @@ def code_hash(entry: str, root: Path = _REPOSITORY) -> str:
 def package_versions(entry: str, root: Path = _REPOSITORY) -> dict[str, str]:
     """Versions by distribution of other packages that `code_files` import, and of those with extensions."""
     found, known = imported_modules(entry, root), packages_distributions()
-    imported = {name.partition(".")[0] for name in _all_imports(found)} - set(sys.stdlib_module_names)
+    every = (name for module, path in found.items() for name in _imports(path, module))
+    imported = {name.partition(".")[0] for name in every} - set(sys.stdlib_module_names)
     others = imported - set(_PACKAGES)
     names = {distribution for name in others for distribution in known.get(name, ())}
     # A machine that replays recorded traffic has no SUMO.
@@ -143,11 +144,6 @@ def imported_modules(entry: str, root: Path) -> dict[str, Path]:
         found[name] = path
         waiting += [name.rpartition(".")[0], *_imports(path, name)]
     return found
-
-
-def _all_imports(modules: dict[str, Path]) -> Iterator[str]:
-    for name, path in modules.items():
-        yield from _imports(path, name)
 
 
 def _source(root: Path, name: str) -> Path | None:

@@ -59,7 +59,8 @@ def find_ground(sweep: Sweep) -> Ground:
     if plane is None:
         return Ground(rows[:0], np.zeros(0, np.float32))
     near = np.hypot(points[:, 0], points[:, 1])
-    on = np.flatnonzero(np.abs(_above(points, plane)) < _THICKNESS_M + _THICKNESS_PER_M * near)
+    above = points @ np.array([-plane[0], -plane[1], 1.0], np.float32) - np.float32(plane[2])
+    on = np.flatnonzero(np.abs(above) < _THICKNESS_M + _THICKNESS_PER_M * near)
     return Ground(rows[on], _incidence(points[on], plane))
 
 
@@ -101,7 +102,3 @@ def _plane(points: NDArray[np.float32]) -> NDArray[np.float64] | None:
         and np.hypot(*plane[:2]) < _STEEPEST
     )
     return plane if is_ground else None
-
-
-def _above(points: NDArray[np.float32], plane: NDArray[np.float64]) -> NDArray[np.float32]:
-    return points @ np.array([-plane[0], -plane[1], 1.0], np.float32) - np.float32(plane[2])

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from sensors.corruptions.physics.receiver import OVERLAP_START_M, detection_threshold, reported_intensity, target_power
 from sensors.deskew import deskew
 from sensors.optics.beams import beams_of
-from sensors.spec import LidarSpec
 from sensors.sweep import (
     ADDED,
     ATTENUATED,
@@ -163,7 +162,9 @@ def report(
     answered = count + np.flatnonzero(scattered[count:])
     if len(answered) == 0:
         return seen if len(kept) == count else seen[kept]
-    added = _added(rays, echo, answered)
+    which = answered - count
+    answers = Echo(echo.range_m[answered], echo.power[answered])
+    added = open_echoes(rays.sweep, rays.open_ring[which], rays.open_column[which], answers)
     order = np.argsort(rays.beam[np.concatenate([kept, answered])], kind="stable")
     return stacked(seen, added)[np.concatenate([kept, count + np.arange(len(added))])[order]]
 
@@ -191,13 +192,6 @@ def _seen(
     return replace(sweep, **columns)
 
 
-def _added(rays: Rays, echo: Echo, lines: NDArray[np.intp]) -> Sweep:
-    """Return the echoes of some open beams as a sweep."""
-    which = lines - len(rays.sweep)
-    ring, column = rays.open_ring[which], rays.open_column[which]
-    return open_echoes(rays.sweep, ring, column, Echo(echo.range_m[lines], echo.power[lines]))
-
-
 def open_echoes(sweep: Sweep, ring: NDArray[np.intp], column: NDArray[np.intp], echo: Echo) -> Sweep:
     """Return a sweep of the echoes of N beams, on no object, with the sensor and pose of another sweep.
 
@@ -209,7 +203,9 @@ def open_echoes(sweep: Sweep, ring: NDArray[np.intp], column: NDArray[np.intp], 
     """
     spec = sweep.spec
     known = sweep.path is not None and sweep.motion != "raw"
-    fired = _firing(spec, ring, column) + (_middle_s(sweep) - sweep.time_s)
+    fired = np.full(len(ring), _middle_s(sweep) - sweep.time_s)
+    if spec is not None:  # `spec.time_offset` of these beams: the table of all is slow
+        fired += (column - 0.5 * spec.columns + spec.firing_share[ring]) * spec.column_s
     points = _axis(sweep, ring, column) * echo.range_m[:, None]
     if known:
         now, *_ = path_at(path_of(sweep), np.array([sweep.time_s]))
@@ -226,13 +222,6 @@ def open_echoes(sweep: Sweep, ring: NDArray[np.intp], column: NDArray[np.intp], 
         **{name: np.full(len(ring), value) for name, value in NO_SURFACE.items()},
     )
     return replace(made, path=sweep.path, motion=sweep.motion)
-
-
-def _firing(spec: LidarSpec | None, ring: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return (N,) `spec.time_offset` of some beams: the table of all is slow."""
-    if spec is None:
-        return np.zeros(0)
-    return (column - 0.5 * spec.columns + spec.firing_share[ring]) * spec.column_s
 
 
 def open_axis(rays: Rays) -> NDArray[np.float64]:

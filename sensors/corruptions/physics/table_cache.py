@@ -39,7 +39,8 @@ def cached_tables(
         log.warning("%s: damaged, computed anew: %s", path, error)
     tables = compute()
     try:
-        _write(path, tables)
+        with replacing(path, edited=True) as temporary, temporary.open("wb") as file:
+            np.savez(file, **dict[str, Any](tables))
     except OSError as error:
         log.info("%s: not kept: %s", path, error)
     return tables
@@ -53,9 +54,3 @@ def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Tables:
         if tables[key].shape != shape or not np.isfinite(tables[key]).all():
             raise ValueError(f"{key}: expected {shape} finite numbers")
     return tables
-
-
-def _write(path: Path, tables: Tables) -> None:
-    arrays: dict[str, Any] = dict(tables)
-    with replacing(path, edited=True) as temporary, temporary.open("wb") as file:
-        np.savez(file, **arrays)

@@ -114,7 +114,8 @@ def apply_motion_blur(cloud: Cloud, settings: PaperMotionBlur, rng: RandomSource
     """Return the cloud with motion blur."""
     s = settings.deviation_m
     if not settings.shared:
-        return _plus(cloud, rng.normal(0.0, s, (len(cloud), _width(cloud, settings.columns))))
+        width = cloud.shape[1] if settings.columns == "all" else 3
+        return _plus(cloud, rng.normal(0.0, s, (len(cloud), width)))
     frame = rng.normal(0.0, s, 3)
     own = rng.normal(0.0, s, (3, len(cloud))).T * np.array(settings.own)
     return _plus(cloud, frame + np.clip(own, -_JITTER_CLIP * s, _JITTER_CLIP * s))
@@ -140,7 +141,3 @@ def _plus(cloud: Cloud, shake: NDArray[np.float64]) -> NDArray[np.float64]:
     out = cloud.astype(np.float64)
     out[:, : shake.shape[1]] += shake
     return out
-
-
-def _width(cloud: Cloud, columns: Columns) -> int:
-    return cloud.shape[1] if columns == "all" else 3

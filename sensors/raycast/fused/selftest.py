@@ -58,9 +58,10 @@ def self_test(engine: Engine, other: Engine) -> None:
     Raises:
         EngineUnavailable: more than a few returns of a sweep differ, as they may at silhouettes.
     """
-    static, bodies, requests = _room(), _bodies(), [_request(spec) for spec in _SPECS]
+    room = _box((-20.0, -15.0, 0.0), (25.0, 18.0, 8.0), 11)
+    bodies, requests = _bodies(), [_request(spec) for spec in _SPECS]
     for request, made, expected in zip(
-        requests, *(each.sweep(static, bodies, requests, 1) for each in (engine, other)), strict=True
+        requests, *(each.sweep(room, bodies, requests, 1) for each in (engine, other)), strict=True
     ):
         rows, others = _rows(made, request.spec), _rows(expected, request.spec)
         both_missed = np.isnan(rows[:, 0]) & np.isnan(others[:, 0])
@@ -86,10 +87,6 @@ def _box(low: tuple[float, float, float], high: tuple[float, float, float], mate
     sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     faces = [[side[a], side[b], side[c]] for side in sides for a, b, c in ((0, 1, 2), (0, 2, 3))]
     return Solid(vertices.astype(np.float32), np.array(faces, np.int32), np.full(12, material, np.uint8))
-
-
-def _room() -> Solid:
-    return _box((-20.0, -15.0, 0.0), (25.0, 18.0, 8.0), 11)
 
 
 def _bodies() -> Bodies:
