@@ -18,8 +18,6 @@ from sensors.corruptions.physics.levels import SeveritySettings, proportional_ri
 from sensors.corruptions.physics.rings import IDENTITIES, rings_of
 from sensors.sweep import Sweep
 
-RINGS_OF_64 = (4, 8, 16, 32, 48)
-
 
 class BeamMissing(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
@@ -28,7 +26,7 @@ class BeamMissing(SeveritySettings, frozen=True, kw_only=True):
         rings_of_64: rings that a sensor of 64 rings loses; others in proportion.
     """
 
-    LEVELS: ClassVar = {"rings_of_64": RINGS_OF_64}
+    LEVELS: ClassVar = {"rings_of_64": (4, 8, 16, 32, 48)}
     RANGES: ClassVar = {"rings_of_64": (0, 64)}
 
     rings_of_64: int = 16

@@ -31,8 +31,6 @@ from sensors.motion import Path
 from sensors.sweep import MOVED, SCATTERED, Sweep
 from sim.geometry import invert
 
-LATE_MS = (20.0, 50.0, 100.0, 200.0, 400.0)
-
 _SPREAD = 0.5
 _STILL_M = 1e-4
 
@@ -44,7 +42,7 @@ class ClockOffset(SeveritySettings, frozen=True, kw_only=True):
         late_ms: delay of a sweep, mean over agents, ms.
     """
 
-    LEVELS: ClassVar = {"late_ms": LATE_MS}
+    LEVELS: ClassVar = {"late_ms": (20.0, 50.0, 100.0, 200.0, 400.0)}
     RANGES: ClassVar = {"late_ms": (0.0, 10_000.0)}
 
     late_ms: float = 100.0

@@ -31,10 +31,6 @@ from sensors.spec import LidarSpec
 from sensors.sweep import Sweep
 from sim.errors import DataError, SettingsError, complaint
 
-RINGS_OF_64 = (16, 32, 32, 48, 48)
-KEEP_ONE_OF = (1, 1, 2, 2, 4)
-REACH = (0.9, 0.8, 0.7, 0.6, 0.5)
-
 DEFAULT_RANGE_MAX_M = 120.0
 """Farthest range of an unknown sensor, m."""
 
@@ -52,7 +48,11 @@ class CrossSensor(SeveritySettings, frozen=True, kw_only=True):
         target: name of a sensor to become instead; then the numbers above are not used.
     """
 
-    LEVELS: ClassVar = {"rings_of_64": RINGS_OF_64, "keep_one_of": KEEP_ONE_OF, "reach": REACH}
+    LEVELS: ClassVar = {
+        "rings_of_64": (16, 32, 32, 48, 48),
+        "keep_one_of": (1, 1, 2, 2, 4),
+        "reach": (0.9, 0.8, 0.7, 0.6, 0.5),
+    }
     RANGES: ClassVar = {
         "rings_of_64": (0, 63),
         "keep_one_of": (1, 1000),

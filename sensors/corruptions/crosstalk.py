@@ -28,8 +28,6 @@ from sensors.corruptions.physics.medium import NO_SURFACE, Echo, open_echoes
 from sensors.corruptions.physics.receiver import OVERLAP_START_M, detection_threshold, reported_intensity, target_power
 from sensors.sweep import POINT_FIELDS, Sweep, make_sweep
 
-SHARE = (0.005, 0.01, 0.02, 0.04, 0.08)
-
 POWER = (1e-4, 1e-2)
 """Power of the weakest and the strongest foreign pulse, see `receiver`: white targets at 100 and at 10 m."""
 
@@ -42,7 +40,7 @@ class Crosstalk(SeveritySettings, frozen=True, kw_only=True):
         range_10_m: see `LidarSpec`; None for what `receiver` takes.
     """
 
-    LEVELS: ClassVar = {"share": SHARE}
+    LEVELS: ClassVar = {"share": (0.005, 0.01, 0.02, 0.04, 0.08)}
     RANGES: ClassVar = {"share": (0.0, 1.0)}
 
     share: float = 0.02

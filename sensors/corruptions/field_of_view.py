@@ -16,8 +16,6 @@ import numpy as np
 from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.sweep import Sweep
 
-HALF_WIDTH_DEG = (105.0, 90.0, 75.0, 60.0, 45.0)
-
 _ROUNDING_RAD = 1e-6
 
 
@@ -29,7 +27,7 @@ class FieldOfView(SeveritySettings, frozen=True, kw_only=True):
         middle_deg: azimuth of the middle, counter-clockwise from straight ahead.
     """
 
-    LEVELS: ClassVar = {"half_width_deg": HALF_WIDTH_DEG}
+    LEVELS: ClassVar = {"half_width_deg": (105.0, 90.0, 75.0, 60.0, 45.0)}
     RANGES: ClassVar = {"half_width_deg": (0.0, 180.0), "middle_deg": (-360.0, 360.0)}
 
     half_width_deg: float = 75.0

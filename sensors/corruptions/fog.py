@@ -23,12 +23,11 @@ one, if it reaches the detection threshold (`medium`). Differences from the publ
 import math
 from typing import ClassVar, Self
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.fog_echo import MOST_EXTINCTION, fog_echo
-from sensors.corruptions.physics.levels import SeveritySettings, at_level, check_range
+from sensors.corruptions.physics.levels import WeatherSettings, at_level, check_range
 from sensors.corruptions.physics.medium import Echo, Rays, rays_of, report
 from sensors.sweep import Sweep
 
@@ -47,7 +46,7 @@ _CONTRAST = math.log(20.0)
 _BACKSCATTER = 0.046
 
 
-class Fog(SeveritySettings, frozen=True, kw_only=True):
+class Fog(WeatherSettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -58,6 +57,7 @@ class Fog(SeveritySettings, frozen=True, kw_only=True):
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
+    STRENGTH: ClassVar = ("extinction", "backscatter")
     RANGES: ClassVar = {
         "extinction": (0.0, MOST_EXTINCTION),
         "backscatter": (0.0, 10.0),
@@ -81,11 +81,6 @@ class Fog(SeveritySettings, frozen=True, kw_only=True):
     def severity(cls, level: int) -> Self:
         """Return the settings of a severity, 1 to 5."""
         return cls.of_visibility(at_level(VISIBILITY_M, level))
-
-    def scaled(self, factor: float) -> Self:
-        """Return fog with `factor` times the droplets, at most the densest."""
-        extinction = min(factor * self.extinction, MOST_EXTINCTION)
-        return msgspec.structs.replace(self, extinction=extinction, backscatter=min(factor * self.backscatter, 10.0))
 
 
 def corrupt(sweep: Sweep, fog: Fog, rng: np.random.Generator) -> Sweep:

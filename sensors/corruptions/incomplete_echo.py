@@ -28,8 +28,6 @@ from sensors.frame import Frame
 from sensors.sweep import UNKNOWN_MATERIAL, Sweep
 from sim.mesh.materials import material_index
 
-SHARE = (0.25, 0.50, 0.75, 0.85, 0.95)
-
 _SPECKLE_CELLS = 4.0
 _LEAST_BRIGHTNESS = 1e-3
 _OF_PEOPLE = tuple(material_index(name) for name in ("skin", "hair", "cloth_light", "cloth_dark"))
@@ -42,7 +40,7 @@ class IncompleteEcho(SeveritySettings, frozen=True, kw_only=True):
         share: of the points on vehicles that are lost.
     """
 
-    LEVELS: ClassVar = {"share": SHARE}
+    LEVELS: ClassVar = {"share": (0.25, 0.50, 0.75, 0.85, 0.95)}
     RANGES: ClassVar = {"share": (0.0, 1.0)}
 
     share: float = 0.75

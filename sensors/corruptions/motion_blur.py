@@ -37,11 +37,6 @@ from sensors.sweep import MOVED, SCATTERED, Sweep
 from sim.errors import DataError, complaint
 from sim.geometry import invert
 
-MISSED_MOTION = (0.1, 0.25, 0.5, 0.75, 1.0)
-SLOWER = (0.1, 0.25, 0.5, 0.75, 1.0)
-SHAKE_M = (0.002, 0.005, 0.01, 0.02, 0.04)
-SHAKE_DEG_S = (2.0, 5.0, 10.0, 20.0, 40.0)
-
 DEFAULT_PERIOD_S = 0.1
 """Duration of a sweep of an unknown sensor, s."""
 
@@ -61,10 +56,10 @@ class MotionBlur(SeveritySettings, frozen=True, kw_only=True):
     """
 
     LEVELS: ClassVar = {
-        "missed_motion": MISSED_MOTION,
-        "slower": SLOWER,
-        "shake_m": SHAKE_M,
-        "shake_deg_s": SHAKE_DEG_S,
+        "missed_motion": (0.1, 0.25, 0.5, 0.75, 1.0),
+        "slower": (0.1, 0.25, 0.5, 0.75, 1.0),
+        "shake_m": (0.002, 0.005, 0.01, 0.02, 0.04),
+        "shake_deg_s": (2.0, 5.0, 10.0, 20.0, 40.0),
     }
     RANGES: ClassVar = {
         "missed_motion": (0.0, 1.0),

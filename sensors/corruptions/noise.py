@@ -20,8 +20,6 @@ import numpy as np
 from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.sweep import MOVED, SCATTERED, Sweep
 
-SIZE_M = (0.02, 0.04, 0.06, 0.08, 0.10)
-ONE_OF = (30.0, 25.0, 20.0, 15.0, 10.0)
 _IMPULSE_M = 0.1
 
 
@@ -35,7 +33,7 @@ class Noise(SeveritySettings, frozen=True, kw_only=True):
         impulse_m: displacement of each coordinate by an impulse, up or down, m.
     """
 
-    LEVELS: ClassVar = {"size_m": SIZE_M, "one_of": ONE_OF}
+    LEVELS: ClassVar = {"size_m": (0.02, 0.04, 0.06, 0.08, 0.10), "one_of": (30.0, 25.0, 20.0, 15.0, 10.0)}
     RANGES: ClassVar = {
         "size_m": (0.0, 100.0),
         "one_of": (1.0, 1e9),

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from sensors.corruptions.physics.levels import SeveritySettings
 from sensors.sweep import Sweep
 
-SHARE = (0.06, 0.12, 0.18, 0.24, 0.30)
-PATCHES = (2, 3, 5, 7, 10)
 _PATCH_SHARE = 0.02
 
 
@@ -35,7 +33,7 @@ class PointDropping(SeveritySettings, frozen=True, kw_only=True):
         patch_share: share of the points in each patch.
     """
 
-    LEVELS: ClassVar = {"share": SHARE, "patches": PATCHES}
+    LEVELS: ClassVar = {"share": (0.06, 0.12, 0.18, 0.24, 0.30), "patches": (2, 3, 5, 7, 10)}
     RANGES: ClassVar = {
         "share": (0.0, 1.0),
         "patches": (0, 10_000),

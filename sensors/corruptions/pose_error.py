@@ -32,9 +32,6 @@ from sensors.frame import Frame
 from sensors.sweep import Sweep
 from sim.geometry import invert, pose_matrix
 
-DEVIATION_M = (0.05, 0.1, 0.2, 0.4, 0.8)
-DEVIATION_DEG = (0.05, 0.1, 0.2, 0.4, 0.8)
-
 _WAVES = 64
 
 
@@ -48,7 +45,11 @@ class PoseError(SeveritySettings, frozen=True, kw_only=True):
         correlation_s: correlation time T, s.
     """
 
-    LEVELS: ClassVar = {"lateral_m": DEVIATION_M, "longitudinal_m": DEVIATION_M, "heading_deg": DEVIATION_DEG}
+    LEVELS: ClassVar = {
+        "lateral_m": (0.05, 0.1, 0.2, 0.4, 0.8),
+        "longitudinal_m": (0.05, 0.1, 0.2, 0.4, 0.8),
+        "heading_deg": (0.05, 0.1, 0.2, 0.4, 0.8),
+    }
     RANGES: ClassVar = {
         "lateral_m": (0.0, 100.0),
         "longitudinal_m": (0.0, 100.0),

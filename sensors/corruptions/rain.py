@@ -25,28 +25,24 @@ to the detection threshold. Sweeps have the noise of clear air already, so only 
 """
 
 import math
-from typing import ClassVar, Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import SeveritySettings
+from sensors.corruptions.physics.levels import WeatherSettings
 from sensors.corruptions.physics.medium import Rays, rays_of, report
 from sensors.corruptions.physics.strongest import Particles, strongest_particle
 from sensors.sweep import Sweep
-
-RAIN_MM_H = (2.0, 8.0, 25.0, 60.0, 120.0)
 
 WATER_INDEX = 1.328
 """Refractive index of water at 905 nm."""
 
 _INTERCEPT_PER_M4 = 8e6
 _WAVELENGTH_M = 905e-9
-_MOST_MM_H = 300.0
 
 
-class Rain(SeveritySettings, frozen=True, kw_only=True):
+class Rain(WeatherSettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -56,9 +52,10 @@ class Rain(SeveritySettings, frozen=True, kw_only=True):
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
-    LEVELS: ClassVar = {"rain_mm_h": RAIN_MM_H}
+    LEVELS: ClassVar = {"rain_mm_h": (2.0, 8.0, 25.0, 60.0, 120.0)}
+    STRENGTH: ClassVar = ("rain_mm_h",)
     RANGES: ClassVar = {
-        "rain_mm_h": (0.0, _MOST_MM_H),
+        "rain_mm_h": (0.0, 300.0),
         "drop_reflectivity": (0.0, 1.0),
         "range_accuracy_m": (0.0, 1.0),
     }
@@ -67,10 +64,6 @@ class Rain(SeveritySettings, frozen=True, kw_only=True):
     drop_reflectivity: float = ((WATER_INDEX - 1.0) / (WATER_INDEX + 1.0)) ** 2
     range_accuracy_m: float = 0.09
     range_10_m: float | None = None
-
-    def scaled(self, factor: float) -> Self:
-        """Return rain at `factor` times the rate, at most the heaviest."""
-        return msgspec.structs.replace(self, rain_mm_h=min(factor * self.rain_mm_h, _MOST_MM_H))
 
 
 def corrupt(sweep: Sweep, rain: Rain, rng: np.random.Generator) -> Sweep:

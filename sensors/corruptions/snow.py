@@ -25,23 +25,18 @@ sweep's sensor instead of an HDL-64E's, the noise floor is the sensor's detectio
 (see `snow_flakes`), beams without a target return flakes, and azimuth 0 is like any other.
 """
 
-from typing import ClassVar, Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 
-from sensors.corruptions.physics.levels import SeveritySettings
+from sensors.corruptions.physics.levels import WeatherSettings
 from sensors.corruptions.physics.medium import rays_of, report
 from sensors.corruptions.physics.snow_flakes import snow_particles
 from sensors.corruptions.physics.strongest import strongest_particle
 from sensors.sweep import Sweep
 
-SNOWFALL_MM_H = (0.1, 0.25, 0.5, 1.5, 5.0)
 
-_MOST_MM_H = 50.0
-
-
-class Snow(SeveritySettings, frozen=True, kw_only=True):
+class Snow(WeatherSettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -52,9 +47,10 @@ class Snow(SeveritySettings, frozen=True, kw_only=True):
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
-    LEVELS: ClassVar = {"snowfall_mm_h": SNOWFALL_MM_H}
+    LEVELS: ClassVar = {"snowfall_mm_h": (0.1, 0.25, 0.5, 1.5, 5.0)}
+    STRENGTH: ClassVar = ("snowfall_mm_h",)
     RANGES: ClassVar = {
-        "snowfall_mm_h": (0.0, _MOST_MM_H),
+        "snowfall_mm_h": (0.0, 50.0),
         "fall_speed_mps": (0.1, 10.0),
         "flake_density": (0.01, 1.0),
         "flake_reflectivity": (0.0, 1.0),
@@ -65,10 +61,6 @@ class Snow(SeveritySettings, frozen=True, kw_only=True):
     flake_density: float = 0.1
     flake_reflectivity: float = 0.2
     range_10_m: float | None = None
-
-    def scaled(self, factor: float) -> Self:
-        """Return snow at `factor` times the snowfall, at most the heaviest."""
-        return msgspec.structs.replace(self, snowfall_mm_h=min(factor * self.snowfall_mm_h, _MOST_MM_H))
 
 
 def corrupt(sweep: Sweep, snow: Snow, rng: np.random.Generator) -> Sweep:

@@ -25,13 +25,12 @@ assumed; level 5 has as much water as level 5 of wet ground.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.levels import SeveritySettings
+from sensors.corruptions.physics.levels import WeatherSettings
 from sensors.corruptions.physics.medium import Echo, Rays, open_axis, rays_of, report
 from sensors.corruptions.physics.plume import PERIOD_M, Plume, draw_patches, patches_at, plumes_of
 from sensors.frame import Frame
@@ -39,9 +38,6 @@ from sensors.optics.reflectance import LIGHT_SPEED
 from sensors.sweep import Sweep
 from sim.geometry import invert
 from sim.streams import Stream, random_generator
-
-WATER_MM = (0.2, 0.5, 1.0, 1.5, 2.5)
-_MOST_WATER_MM = 100.0
 
 LIDAR_RATIO_SR = 18.8
 """Extinction over backscatter of water drops, sr."""
@@ -65,7 +61,7 @@ _LEAST_EXTINCTION = 1e-3
 _PROBES = 1 << 16
 
 
-class Spray(SeveritySettings, frozen=True, kw_only=True):
+class Spray(WeatherSettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -73,15 +69,12 @@ class Spray(SeveritySettings, frozen=True, kw_only=True):
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
-    LEVELS: ClassVar = {"water_mm": WATER_MM}
-    RANGES: ClassVar = {"water_mm": (0.0, _MOST_WATER_MM)}
+    LEVELS: ClassVar = {"water_mm": (0.2, 0.5, 1.0, 1.5, 2.5)}
+    STRENGTH: ClassVar = ("water_mm",)
+    RANGES: ClassVar = {"water_mm": (0.0, 100.0)}
 
     water_mm: float = 1.0
     range_10_m: float | None = None
-
-    def scaled(self, factor: float) -> Self:
-        """Return the settings with `factor` times the water."""
-        return msgspec.structs.replace(self, water_mm=min(factor * self.water_mm, _MOST_WATER_MM))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

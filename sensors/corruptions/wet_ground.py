@@ -25,21 +25,18 @@ and 1.2 mm.
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import ClassVar, Self
+from typing import ClassVar
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.ground import Ground, find_ground
-from sensors.corruptions.physics.levels import SeveritySettings
+from sensors.corruptions.physics.levels import WeatherSettings
 from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY, detection_threshold, target_power
 from sensors.optics.reflectance import returned_power, wet_reflectivity
 from sensors.sweep import ATTENUATED, KEPT, UNKNOWN_MATERIAL, Sweep
 from sim.mesh.materials import MATERIALS
 
-WATER_MM = (0.1, 0.3, 0.6, 1.2, 2.5)
-_MOST_WATER_MM = 100.0
 WATER_INDEX = 1.33 / 1.0003
 """Refractive index of water against air."""
 
@@ -50,7 +47,7 @@ _REFLECTIVITY = np.linspace(0.02, 1.0, 99)
 _DARKENED = np.array([wet_reflectivity(rho) / rho for rho in _REFLECTIVITY.tolist()])
 
 
-class WetGround(SeveritySettings, frozen=True, kw_only=True):
+class WetGround(WeatherSettings, frozen=True, kw_only=True):
     """Settings of `corrupt`.
 
     Attributes:
@@ -59,16 +56,13 @@ class WetGround(SeveritySettings, frozen=True, kw_only=True):
         range_10_m: see `LidarSpec`; None for what `receiver` takes, infinity for one that detects everything.
     """
 
-    LEVELS: ClassVar = {"water_mm": WATER_MM}
-    RANGES: ClassVar = {"water_mm": (0.0, _MOST_WATER_MM), "texture_mm": (0.01, 100.0)}
+    LEVELS: ClassVar = {"water_mm": (0.1, 0.3, 0.6, 1.2, 2.5)}
+    STRENGTH: ClassVar = ("water_mm",)
+    RANGES: ClassVar = {"water_mm": (0.0, 100.0), "texture_mm": (0.01, 100.0)}
 
     water_mm: float = 0.6
     texture_mm: float = _TEXTURE_MM
     range_10_m: float | None = None
-
-    def scaled(self, factor: float) -> Self:
-        """Return the settings with `factor` times the water."""
-        return msgspec.structs.replace(self, water_mm=min(factor * self.water_mm, _MOST_WATER_MM))
 
 
 def corrupt(sweep: Sweep, wet: WetGround, rng: np.random.Generator) -> Sweep:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,8 +83,7 @@ class SweepRequest:
     hidden_id: int | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Returns:
+class Returns(NamedTuple):
     """The P points of one sweep, ring by ring from the top, columns ascending, the nearer return first.
 
     The columns are those of `sensors.sweep.Sweep`.

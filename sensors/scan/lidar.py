@@ -140,16 +140,8 @@ def _poses(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> tuple[ND
 
 def _sweep(sensor: Sensor, request: SweepRequest, returns: Returns) -> Sweep:
     return Sweep(
-        points=returns.points,
-        intensity=returns.intensity,
-        ring=returns.ring,
-        column=returns.column,
-        time_offset=returns.time_offset,
-        object_id=returns.object_id,
-        return_number=returns.return_number,
+        **returns._asdict(),
         fate=np.full(len(returns.points), KEPT, np.uint8),
-        material=returns.material,
-        cosine=returns.cosine,
         world_from_lidar=request.pose,
         time_s=sensor.time_s,
         spec=sensor.spec,

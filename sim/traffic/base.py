@@ -115,7 +115,7 @@ def from_steps(count: NDArray[np.int64], step: float) -> NDArray[np.float64]:
 
 
 class Traffic(Protocol):
-    """Traffic backend: a context manager that moves all actors in steps of `step_s`."""
+    """Traffic backend: a context manager that moves all actors in steps of `step_s`. Backends inherit from it."""
 
     step_s: float
 
@@ -132,9 +132,11 @@ class Traffic(Protocol):
         """End the simulation; further steps are an error."""
         ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *exc: object) -> None: ...
+    def __exit__(self, *exc: object) -> None:
+        self.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,11 +221,13 @@ class DrivableTraffic(Traffic, Protocol):
 
     def signals(self, object_id: int) -> tuple[TrafficLight, ...]:
         """Return the traffic lights on the route of a vehicle, nearest first; empty where the backend has none."""
-        ...
+        self.speed(object_id)  # the errors of an object that cannot be driven
+        return ()
 
     def goal_m(self, object_id: int) -> float | None:
         """Return the distance left to the goal of an encounter's ego, m, <= 0 when reached; None for all others."""
-        ...
+        self.speed(object_id)
+        return None
 
     def encounter_gap_s(self, object_id: int) -> float | None:
         """Return how much later than its conflict actor an ego would arrive, when that no longer waited for it, s.
@@ -231,11 +235,12 @@ class DrivableTraffic(Traffic, Protocol):
         Infinite as long as the conflict actor waits; None where there is none to meet: other backends, an encounter
         without it, or with one that is followed or stands.
         """
-        ...
+        self.speed(object_id)
+        return None
 
     def claims(self) -> dict[str, Actors]:
         """Return the objects that helpers report now although they do not exist, by the name of the helper."""
-        ...
+        return {}
 
 
 def check_command(speed_mps: float | None) -> None:

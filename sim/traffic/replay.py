@@ -1,14 +1,13 @@
 """Replay of a traffic log, without SUMO."""
 
 from pathlib import Path
-from typing import Self
 
 from sim.errors import DataError, TrafficError, complaint
-from sim.traffic.base import Actors
+from sim.traffic.base import Actors, Traffic
 from sim.traffic.log import TrafficLog
 
 
-class ReplayTraffic:
+class ReplayTraffic(Traffic):
     """Traffic replayed from a log, bit for bit.
 
     Args:
@@ -52,9 +51,3 @@ class ReplayTraffic:
     def close(self) -> None:
         """End the replay."""
         self._open = False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from sim.encounters.types import HIT_S, ScriptedActor
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario
-from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_command, check_place
+from sim.traffic.base import SIGNALS, Actors, DrivableTraffic, Limits, check_command, check_place
 from sim.traffic.scripted.clock import ScriptClock
 from sim.traffic.scripted.following import safe_speed
 from sim.traffic.scripted.lanes import LANE_EVERY_M, LaneLookup
@@ -37,7 +36,7 @@ _STANDS_MPS, _BEHIND_M = 1.0, 10.0
 """Where the conflict actor blocks the lane, the goal is to stand at most so far behind it."""
 
 
-class ScriptedTraffic:
+class ScriptedTraffic(DrivableTraffic):
     """Encounter of a scenario, moved along fixed paths: `with ScriptedTraffic(scenario, seed) as traffic: ...`.
 
     Every actor keeps its path and the speeds of its script, on a common clock (`ScriptClock`) that waits for a driven
@@ -149,12 +148,6 @@ class ScriptedTraffic:
         """End the encounter."""
         self._open = False
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
     def command(self, object_id: int, speed_mps: float | None) -> None:
         """Drive an actor, see `DrivableTraffic.command`; given back, it keeps its script's speed at each place."""
         check_command(speed_mps)
@@ -189,11 +182,6 @@ class ScriptedTraffic:
         mover = self._mover(object_id)
         strongest, _, emergency = mover.actor.kind.accel_mps2
         return Limits(mover.scripted_speed(), strongest, emergency)
-
-    def signals(self, object_id: int) -> tuple[TrafficLight, ...]:
-        """Return no traffic lights: the script has none."""
-        self._mover(object_id)
-        return ()
 
     def _start(self, actor: ScriptedActor, object_id: int, seed: int) -> Mover:
         return Mover(

@@ -38,6 +38,21 @@ class SeveritySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         return cls(**{field: at_level(values, level) for field, values in cls.LEVELS.items()})
 
 
+class WeatherSettings(SeveritySettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of a kind of weather, whose strength drifts.
+
+    Attributes:
+        STRENGTH: fields that are proportional to the strength.
+    """
+
+    STRENGTH: ClassVar[tuple[str, ...]] = ()
+
+    def scaled(self, factor: float) -> Self:
+        """Return the settings at `factor` times the strength, at most the largest of `RANGES`."""
+        stronger = {field: min(factor * getattr(self, field), self.RANGES[field][1]) for field in self.STRENGTH}
+        return msgspec.structs.replace(self, **stronger)
+
+
 def at_level(levels: Sequence[T], severity: int) -> T:
     """Return the entry of one severity, of five; SettingsError for another severity."""
     require_severity(severity)

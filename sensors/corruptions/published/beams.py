@@ -35,10 +35,6 @@ from sensors.corruptions.published.cloud import Cloud, RandomSource
 from sensors.corruptions.published.rings import RingSource, rings_from
 from sensors.sweep import Sweep
 
-MISSING_OF_64 = (4, 8, 16, 32, 48)
-DELETED_OF_64 = (16, 32, 32, 48, 48)
-KEEP_ONE_OF = (1, 1, 2, 2, 4)
-
 
 class PaperBeamMissing(SeveritySettings, frozen=True, kw_only=True):
     """Settings of `beam_missing`.
@@ -50,7 +46,7 @@ class PaperBeamMissing(SeveritySettings, frozen=True, kw_only=True):
         rings: source of the points' rings.
     """
 
-    LEVELS: ClassVar = {"rings_of_64": MISSING_OF_64}
+    LEVELS: ClassVar = {"rings_of_64": (4, 8, 16, 32, 48)}
     RANGES: ClassVar = {"rings_of_64": (0, 64), "after_of_64": (1, 64)}
 
     rings_of_64: int = 16
@@ -76,7 +72,7 @@ class PaperCrossSensor(SeveritySettings, frozen=True, kw_only=True):
         rings: source of the points' rings.
     """
 
-    LEVELS: ClassVar = {"rings_of_64": DELETED_OF_64, "keep_one_of": KEEP_ONE_OF}
+    LEVELS: ClassVar = {"rings_of_64": (16, 32, 32, 48, 48), "keep_one_of": (1, 1, 2, 2, 4)}
     RANGES: ClassVar = {"rings_of_64": (0, 63), "keep_one_of": (1, 1000), "first": (0, 63)}
 
     rings_of_64: int = 32

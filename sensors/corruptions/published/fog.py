@@ -43,7 +43,6 @@ from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, w
 from sensors.corruptions.published.echo import TARGET_BACKSCATTER, soft_integral
 from sensors.sweep import ATTENUATED, SCATTERED, Sweep
 
-BACKSCATTER = (0.002, 0.004, 0.008, 0.05, 0.2)
 EXTINCTIONS = (0.0, 0.005, 0.01, 0.02, 0.03, 0.06)
 """Extinctions that DSRC and Robo3D draw from, 1/m."""
 
@@ -78,7 +77,7 @@ class PaperFog(SeveritySettings, frozen=True, kw_only=True):
         gain: intensities are times 255 / the largest, rounded up.
     """
 
-    LEVELS: ClassVar = {"backscatter": BACKSCATTER}
+    LEVELS: ClassVar = {"backscatter": (0.002, 0.004, 0.008, 0.05, 0.2)}
     RANGES: ClassVar = {
         "extinction": (0.0, 10.0),
         "backscatter": (0.0, 10.0),

@@ -25,8 +25,6 @@ from sensors.corruptions.published.cloud import RandomSource
 from sensors.frame import Frame
 from sensors.sweep import Sweep
 
-DELETED = (0.4, 0.6, 0.75, 0.85, 0.95)
-
 SEMANTIC_KITTI = ((10, 252), (11,), (15,), (18, 258), (13, 16, 20, 256, 257, 259))
 """Raw labels of SemanticKITTI's vehicle classes: car, bicycle, motorcycle, truck, other vehicle."""
 
@@ -40,7 +38,7 @@ class PaperIncompleteEcho(SeveritySettings, frozen=True, kw_only=True):
         deleted: share of the points of a class that is deleted.
     """
 
-    LEVELS: ClassVar = {"deleted": DELETED}
+    LEVELS: ClassVar = {"deleted": (0.4, 0.6, 0.75, 0.85, 0.95)}
     RANGES: ClassVar = {"deleted": (0.0, 1.0)}
 
     deleted: float = 0.75

@@ -31,8 +31,6 @@ from sensors.sweep import MOVED, Sweep
 
 Columns = Literal["coordinates", "all"]
 
-BLUR_M = (0.08, 0.1, 0.2, 0.25, 0.3)
-CROSSTALK_SHARE = (0.006, 0.008, 0.01, 0.016, 0.02)
 
 _JITTER_CLIP = 3.0
 
@@ -47,7 +45,7 @@ class PaperMotionBlur(SeveritySettings, frozen=True, kw_only=True):
         own: deviation of a point along x, y, z as a share of `deviation_m`.
     """
 
-    LEVELS: ClassVar = {"deviation_m": BLUR_M}
+    LEVELS: ClassVar = {"deviation_m": (0.08, 0.1, 0.2, 0.25, 0.3)}
     RANGES: ClassVar = {"deviation_m": (0.0, 100.0)}
 
     deviation_m: float = 0.2
@@ -65,7 +63,7 @@ class PaperCrosstalk(SeveritySettings, frozen=True, kw_only=True):
         columns: columns with noise.
     """
 
-    LEVELS: ClassVar = {"share": CROSSTALK_SHARE}
+    LEVELS: ClassVar = {"share": (0.006, 0.008, 0.01, 0.016, 0.02)}
     RANGES: ClassVar = {"share": (0.0, 1.0), "deviation_m": (0.0, 1000.0)}
 
     share: float = 0.01

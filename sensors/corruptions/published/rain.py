@@ -47,8 +47,6 @@ from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, w
 from sensors.sweep import ATTENUATED, SCATTERED, Sweep
 from sim.geometry import Array
 
-RATE_MM_H = (0.2, 0.73, 1.5625, 3.125, 7.29)
-
 LOST, DROP, TARGET = range(3)
 """Values of `RainyCloud.label`, as in LISA."""
 
@@ -119,7 +117,7 @@ class PaperRain(SeveritySettings, frozen=True, kw_only=True):
         accuracy_m: deviation of the range where the target is half as strong as the weakest detected.
     """
 
-    LEVELS: ClassVar = {"rate_mm_h": RATE_MM_H}
+    LEVELS: ClassVar = {"rate_mm_h": (0.2, 0.73, 1.5625, 3.125, 7.29)}
     RANGES: ClassVar = {
         "rate_mm_h": (0.0, 1000.0),
         "extinction": (0.0, 10.0),

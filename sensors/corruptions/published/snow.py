@@ -67,9 +67,6 @@ from sim.geometry import Array
 from sim.packed import read_arrays
 from sim.reading import parsing
 
-SNOWFALL_MM_H = (0.125, 0.25, 0.5, 1.0, 2.5)
-FALL_SPEED_MPS = (2.0, 2.0, 2.0, 1.6, 1.6)
-
 UNTOUCHED, DIMMED, MOVED = range(3)
 """Values of `SnowyCloud.label`."""
 
@@ -105,7 +102,7 @@ class PaperSnow(SeveritySettings, frozen=True, kw_only=True):
         rings: source of the channels.
     """
 
-    LEVELS: ClassVar = {"snowfall_mm_h": SNOWFALL_MM_H, "fall_speed_mps": FALL_SPEED_MPS}
+    LEVELS: ClassVar = {"snowfall_mm_h": (0.125, 0.25, 0.5, 1.0, 2.5), "fall_speed_mps": (2.0, 2.0, 2.0, 1.6, 1.6)}
     RANGES: ClassVar = {
         "snowfall_mm_h": (0.0, 50.0),
         "fall_speed_mps": (0.1, 10.0),

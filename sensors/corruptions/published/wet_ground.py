@@ -46,9 +46,6 @@ from sensors.corruptions.published.ground import (
 from sensors.sweep import ATTENUATED, KEPT, Sweep
 from sim.geometry import Array
 
-WATER_MM = (0.2, 0.5, 1.0, 1.2, 1.2)
-NOISE_FACTOR = (0.7, 0.7, 0.7, 0.7, 1.0)
-
 PAVEMENT_MM = 1.2
 AIR, WATER = 1.0003, 1.33
 """Refractive indices."""
@@ -68,7 +65,7 @@ class PaperWetGround(SeveritySettings, frozen=True, kw_only=True):
         labelled: known ground, taken for level (Robo3D), instead of a fitted plane.
     """
 
-    LEVELS: ClassVar = {"water_mm": WATER_MM, "noise_factor": NOISE_FACTOR}
+    LEVELS: ClassVar = {"water_mm": (0.2, 0.5, 1.0, 1.2, 1.2), "noise_factor": (0.7, 0.7, 0.7, 0.7, 1.0)}
     RANGES: ClassVar = {
         "water_mm": (0.0, 100.0),
         "noise_factor": (0.0, 10.0),

@@ -22,7 +22,7 @@ from sensors.raycast.base import Bodies, Hits, Returns, Solid, SweepRequest
 from sensors.raycast.fused.bodies import BodyPaths, Calls, place_bodies, see_bodies
 from sensors.raycast.fused.embree import Hierarchy, InstanceScene, library
 from sensors.raycast.fused.kernel import ROOM_WORDS, cast_rays, close_gap, sweep_rings
-from sensors.raycast.fused.memory import PointColumns, Scratch, Tables, World
+from sensors.raycast.fused.memory import Scratch, Tables, World
 
 _FREE_BIT = 31
 """Ray-mask bit of sensors that hide no body; each bit below hides one body from the sensor that it carries."""
@@ -395,11 +395,12 @@ def _blocks(
     return placed[:-1].astype(np.float32), np.diff(placed, axis=0).astype(np.float32)
 
 
-def _room(request: SweepRequest) -> PointColumns:
+def _room(request: SweepRequest) -> Returns:
+    """Return rows for all that a sweep can report: two per beam when both returns are reported, else one."""
     rows = request.beams.rings * request.beams.columns * (2 if request.spec.returns == "dual" else 1)
     # Zeroing the room would cost a tenth of the sweep; every row that is handed out is written before.
     room = np.empty  # noqa: TID251
-    return PointColumns(
+    return Returns(
         points=room((rows, 3), np.float32),
         intensity=room(rows, np.float32),
         ring=room(rows, np.int16),

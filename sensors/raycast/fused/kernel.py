@@ -13,9 +13,10 @@ from sensors.compiled import compiled
 from sensors.optics.beams import BLOCK
 from sensors.optics.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_RANGE, UP
 from sensors.optics.reflectance import COSINE_BINS, RANGE_BINS
+from sensors.raycast.base import Returns
 from sensors.raycast.fused import words
 from sensors.raycast.fused.embree import INVALID, RAY_ROWS
-from sensors.raycast.fused.memory import PointColumns, Scratch, Tables, World
+from sensors.raycast.fused.memory import Scratch, Tables, World
 from sensors.raycast.fused.words import bits_of, call, copy_row, count, interleave, squeeze
 from sensors.sweep import STATIC
 
@@ -405,7 +406,7 @@ def _keep_returns(tables: Tables, scratch: Scratch, ring: int, block: int, echo:
 
 
 @_part
-def _pack(scratch: Scratch, columns: PointColumns, row: np.uint64, block: int) -> np.uint64:
+def _pack(scratch: Scratch, columns: Returns, row: np.uint64, block: int) -> np.uint64:
     """Write the kept returns of a block of beams with one return each; return the next free row."""
     first = np.int32(block * BLOCK)
     for lane in range(BLOCK):
@@ -428,7 +429,7 @@ def _pack(scratch: Scratch, columns: PointColumns, row: np.uint64, block: int) -
 
 
 @_loop
-def _pack_pairs(scratch: Scratch, columns: PointColumns, row: np.uint64, block: int) -> np.uint64:
+def _pack_pairs(scratch: Scratch, columns: Returns, row: np.uint64, block: int) -> np.uint64:
     """Write the kept returns of a block of beams with up to two returns each; return the next free row."""
     room = scratch.room
     for lane in range(BLOCK):
@@ -452,7 +453,7 @@ def sweep_rings(
     world: World,
     visible: NDArray[np.bool_],
     scratch: Scratch,
-    columns: PointColumns,
+    columns: Returns,
     start: int,
     first: int,
     last: int,
@@ -513,7 +514,7 @@ def sweep_rings(
 
 
 @_loop
-def close_gap(columns: PointColumns, row: int, start: int, end: int) -> None:
+def close_gap(columns: Returns, row: int, start: int, end: int) -> None:
     """Move the rows from `start` to `end` (exclusive) down to `row`."""
     shift = start - row
     for old in range(start, end):

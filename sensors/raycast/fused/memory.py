@@ -86,20 +86,6 @@ class World(NamedTuple):
     body_steps: NDArray[np.int64]
 
 
-class PointColumns(NamedTuple):
-    """Output rows for the points of a sweep: two per beam when both returns are reported, else one."""
-
-    points: NDArray[np.float32]
-    intensity: NDArray[np.float32]
-    ring: NDArray[np.int16]
-    column: NDArray[np.int32]
-    time_offset: NDArray[np.float32]
-    object_id: NDArray[np.int32]
-    return_number: NDArray[np.uint8]
-    material: NDArray[np.uint8]
-    cosine: NDArray[np.float32]
-
-
 class Scratch(NamedTuple):
     """Working memory of one thread: ray packets and the results of their rays.
 

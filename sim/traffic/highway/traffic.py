@@ -1,7 +1,5 @@
 """Traffic on highway-env's roads, without SUMO: its lanes, vehicle model and lane changes."""
 
-from typing import Self
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +10,7 @@ from sim.errors import ScenarioError, TrafficError, complaint
 from sim.geometry import wrap_angle
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
-from sim.traffic.base import SIGNALS, Actors, Limits, TrafficLight, check_command, check_place
+from sim.traffic.base import SIGNALS, Actors, DrivableTraffic, Limits, check_command, check_place
 from sim.traffic.highway.driver import Driver
 from sim.traffic.highway.perception import AHEAD_M, Junction, decide, free_speed, path_ahead
 from sim.traffic.highway.roads import LaneNetwork, read_roads, to_world
@@ -27,7 +25,7 @@ _TURNS_RAD = np.radians(30.0)
 _TURN_AHEAD_M = 30.0
 
 
-class HighwayTraffic:
+class HighwayTraffic(DrivableTraffic):
     """Traffic on the roads of an environment of highway-env.
 
     The environment gives the lanes. Its vehicles are replaced by those of the scenario's demand, each with a random
@@ -92,12 +90,6 @@ class HighwayTraffic:
         """End the simulation."""
         self._open = False
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
     def command(self, object_id: int, speed_mps: float | None) -> None:
         """Drive a vehicle, see `DrivableTraffic.command`."""
         check_command(speed_mps)
@@ -129,23 +121,6 @@ class HighwayTraffic:
         allowed_mps = float(min(lane.limit, np.interp(driver.along, lane.along, lane.curve_mps)))
         strongest, _, emergency = driver.kind.accel_mps2
         return Limits(allowed_mps, strongest, emergency)
-
-    def signals(self, object_id: int) -> tuple[TrafficLight, ...]:
-        """Return no traffic lights: roads of highway-env have none."""
-        self._driver(object_id)
-        return ()
-
-    def goal_m(self, object_id: int) -> None:
-        """Return no goal: vehicles of highway-env drive on to the end of their route."""
-        self._driver(object_id)
-
-    def encounter_gap_s(self, object_id: int) -> None:
-        """Return no gap: there is no encounter."""
-        self._driver(object_id)
-
-    def claims(self) -> dict[str, Actors]:
-        """Return no claims: vehicles of highway-env report what exists."""
-        return {}
 
     def _driver(self, object_id: int) -> Driver:
         for driver in self._road.vehicles:

@@ -4,7 +4,7 @@ import tempfile
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from sim.geometry import center_from_sumo
 from sim.roads.network import Network
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
-from sim.traffic.base import PARKED, Actors, Limits, TrafficLight, check_command, check_place
+from sim.traffic.base import PARKED, Actors, DrivableTraffic, Limits, TrafficLight, check_command, check_place
 from sim.traffic.parking import parked_cars
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.input import check_signals, signals_xml, sumo_options
@@ -60,7 +60,7 @@ class _RoadUser:
     last_velocity: NDArray[np.float64] | None = None
 
 
-class SumoTraffic:
+class SumoTraffic(DrivableTraffic):
     """Running SUMO simulation of a scenario: `with SumoTraffic(scenario, seed) as traffic: traffic.step()`.
 
     libsumo holds one simulation per process and silently replaces it by a second; here a second one is an error.
@@ -120,12 +120,6 @@ class SumoTraffic:
         finally:
             _running.release()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
     def command(self, object_id: int, speed_mps: float | None) -> None:
         """Drive a vehicle, see `DrivableTraffic.command`; it stops at red lights whatever the command."""
         check_command(speed_mps)
@@ -169,18 +163,6 @@ class SumoTraffic:
         """Return the traffic lights on the route of a vehicle, nearest first."""
         lights = self._sumo.vehicle.getNextTLS(self._vehicle(object_id))
         return tuple(TrafficLight(_LIGHT_STATES.get(state, "off"), float(gap_m)) for _, _, gap_m, state in lights)
-
-    def goal_m(self, object_id: int) -> None:
-        """Return no goal: vehicles of SUMO drive on to the end of their route."""
-        self._vehicle(object_id)
-
-    def encounter_gap_s(self, object_id: int) -> None:
-        """Return no gap: there is no encounter."""
-        self._vehicle(object_id)
-
-    def claims(self) -> dict[str, Actors]:
-        """Return no claims: SUMO's vehicles report what exists."""
-        return {}
 
     def _vehicle(self, object_id: int) -> str:
         row = self.actors.row(object_id)

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sensors.corruptions.beam_missing import RINGS_OF_64, BeamMissing, corrupt
+from sensors.corruptions.beam_missing import BeamMissing, corrupt
 from sensors.sweep import make_sweep
 from sim.errors import DataError, SettingsError
 from tests.sensors.corruptions.street import same, spinning, street, synth16
@@ -29,7 +29,7 @@ def test_the_number_of_missing_rings_is_exact(severity: int) -> None:
     sweep = synth16()
     for seed in range(20):
         missing = 16 - len(np.unique(corrupt(sweep, BeamMissing.severity(severity), rng(seed)).ring))
-        assert missing == round(RINGS_OF_64[severity - 1] / 4)
+        assert missing == round(BeamMissing.LEVELS["rings_of_64"][severity - 1] / 4)
 
 
 def test_missing_beams_take_all_their_points_and_no_others() -> None:

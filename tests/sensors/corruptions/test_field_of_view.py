@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sensors.corruptions.field_of_view import HALF_WIDTH_DEG, FieldOfView, corrupt
+from sensors.corruptions.field_of_view import FieldOfView, corrupt
 from sensors.sweep import make_sweep
 from sim.errors import SettingsError
 from tests.sensors.corruptions.street import same, street
@@ -21,7 +21,7 @@ def test_the_sector_lies_straight_ahead(severity: int) -> None:
     azimuth = np.degrees(np.arctan2(sweep.points[:, 1], sweep.points[:, 0]))
     assert same(
         corrupt(sweep, FieldOfView.severity(severity), rng()),
-        sweep[np.abs(azimuth) < HALF_WIDTH_DEG[severity - 1] + 1e-3],
+        sweep[np.abs(azimuth) < FieldOfView.LEVELS["half_width_deg"][severity - 1] + 1e-3],
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from sensors.corruptions import FAMILIES, corrupt_frame
 from sensors.corruptions import corrupt as corrupt_any
-from sensors.corruptions.incomplete_echo import SHARE, IncompleteEcho, corrupt, in_frame
+from sensors.corruptions.incomplete_echo import IncompleteEcho, corrupt, in_frame
 from sensors.corruptions.physics.notice import notice
 from sensors.frame import Frame
 from sensors.sweep import STATIC, UNKNOWN_MATERIAL, Sweep
@@ -42,7 +42,7 @@ def test_vehicles_lose_their_share_and_nothing_else_does(severity: int) -> None:
     sweep = cars()
     out = corrupt(sweep, IncompleteEcho.severity(severity), rng())
     on, left = (np.isin(s.object_id, [1000, 1001]) for s in (sweep, out))
-    assert left.sum() == on.sum() - int(SHARE[severity - 1] * on.sum())
+    assert left.sum() == on.sum() - int(IncompleteEcho.LEVELS["share"][severity - 1] * on.sum())
     assert same(out[~left], sweep[~on])
     assert {tuple(p) for p in out.points} <= {tuple(p) for p in sweep.points}
 

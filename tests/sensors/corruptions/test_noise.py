@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensors.corruptions.noise import ONE_OF, SIZE_M, Noise, corrupt
+from sensors.corruptions.noise import Noise, corrupt
 from sensors.sweep import KEPT, MOVED, SCATTERED
 from sim.errors import SettingsError
 from tests.sensors.corruptions.street import same, street, synth16
@@ -17,15 +17,15 @@ def rng(seed: int = 1) -> np.random.Generator:
 
 
 def settings(how: str, severity: int) -> Noise:
-    return Noise(how=how, size_m=SIZE_M[severity - 1], one_of=ONE_OF[severity - 1])
+    return Noise(how=how, size_m=Noise.LEVELS["size_m"][severity - 1], one_of=Noise.LEVELS["one_of"][severity - 1])
 
 
 @pytest.mark.parametrize("severity", range(1, 6))
 def test_gaussian_noise_has_its_deviation_on_each_coordinate(severity: int) -> None:
     sweep = synth16()
     shift = corrupt(sweep, Noise.severity(severity), rng()).points.astype(np.float64) - sweep.points
-    assert np.allclose(shift.std(axis=0), SIZE_M[severity - 1], rtol=0.03)
-    assert np.abs(shift.mean(axis=0)).max() < 5 * SIZE_M[severity - 1] / np.sqrt(len(sweep))
+    assert np.allclose(shift.std(axis=0), Noise.LEVELS["size_m"][severity - 1], rtol=0.03)
+    assert np.abs(shift.mean(axis=0)).max() < 5 * Noise.LEVELS["size_m"][severity - 1] / np.sqrt(len(sweep))
     assert np.abs(np.corrcoef(shift.T) - np.eye(3)).max() < 0.05
 
 

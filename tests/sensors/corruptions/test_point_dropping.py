@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from sensors.corruptions.point_dropping import PATCHES, SHARE, PointDropping, corrupt
+from sensors.corruptions.point_dropping import PointDropping, corrupt
 from sensors.sweep import Sweep
 from sim.errors import SettingsError
 from tests.sensors.corruptions.street import same, spinning, street
@@ -25,9 +25,9 @@ def rows_left(out: Sweep, sweep: Sweep) -> np.ndarray:
 def test_the_share_is_lost_all_over_the_sweep(severity: int) -> None:
     sweep = street(spinning(64, columns=900))
     left = rows_left(corrupt(sweep, PointDropping.severity(severity), rng()), sweep)
-    assert 1.0 - left.mean() == pytest.approx(SHARE[severity - 1], abs=0.005)
+    assert 1.0 - left.mean() == pytest.approx(PointDropping.LEVELS["share"][severity - 1], abs=0.005)
     parts = np.array_split(left, 20)
-    assert max(abs(1.0 - part.mean() - SHARE[severity - 1]) for part in parts) < 0.05
+    assert max(abs(1.0 - part.mean() - PointDropping.LEVELS["share"][severity - 1]) for part in parts) < 0.05
 
 
 @pytest.mark.parametrize("how", ["scattered", "patches"])
@@ -35,7 +35,11 @@ def test_kept_points_are_unchanged_and_lost_ones_stay_lost(how: str) -> None:
     sweep = street()
     left = []
     for severity in range(1, 6):
-        settings = PointDropping(how=how, share=SHARE[severity - 1], patches=PATCHES[severity - 1])
+        settings = PointDropping(
+            how=how,
+            share=PointDropping.LEVELS["share"][severity - 1],
+            patches=PointDropping.LEVELS["patches"][severity - 1],
+        )
         out = corrupt(sweep, settings, rng())
         left.append(rows_left(out, sweep))
         assert same(out, sweep[left[-1]])

@@ -53,7 +53,7 @@ def test_drops_are_those_of_marshall_and_palmer(rate: float) -> None:
 
 
 def test_the_table_of_severities_holds() -> None:
-    extinction = [1e3 * rain_particles(rate, 0.02).extinction for rate in rain.RAIN_MM_H]
+    extinction = [1e3 * rain_particles(rate, 0.02).extinction for rate in rain.Rain.LEVELS["rain_mm_h"]]
     assert np.allclose(extinction, [0.57, 1.36, 2.79, 4.85, 7.5], rtol=0.01)
     assert Rain() == Rain.severity(3)
 
@@ -63,7 +63,7 @@ def test_a_target_is_dimmed_both_ways_and_stays_on_its_ray() -> None:
     out = rain.corrupt(sweep, Rain.severity(4), rng())
     seen = out[out.fate != SCATTERED]
     clean = sweep[rows_of(seen, sweep)]
-    extinction = rain_particles(rain.RAIN_MM_H[3], 0.02).extinction
+    extinction = rain_particles(rain.Rain.LEVELS["rain_mm_h"][3], 0.02).extinction
     assert np.allclose(seen.intensity, clean.intensity * np.exp(-2.0 * extinction * clean.range), rtol=1e-5)
     ray = clean.points / clean.range[:, None]
     assert np.abs(seen.points - ray * seen.range[:, None]).max() < 1e-4

@@ -50,7 +50,7 @@ def test_a_medium_of_flakes_holds_the_snow_that_falls(snowfall: float) -> None:
 
 
 def test_the_table_of_severities_holds() -> None:
-    extinction = [1e3 * snow_particles(s, 1.0, 0.1, 0.2).extinction for s in snow.SNOWFALL_MM_H]
+    extinction = [1e3 * snow_particles(s, 1.0, 0.1, 0.2).extinction for s in snow.Snow.LEVELS["snowfall_mm_h"]]
     assert np.allclose(extinction, [0.99, 1.60, 2.29, 4.06, 7.59], rtol=0.01)
     assert Snow() == Snow.severity(3)
 
@@ -81,7 +81,7 @@ def test_targets_behind_flakes_are_dimmed_by_extinction() -> None:
     out = snow.corrupt(sweep, Snow.severity(4), rng())
     seen = out[out.fate == ATTENUATED]
     clean = sweep[rows_of(seen, sweep)]
-    extinction = snow_particles(snow.SNOWFALL_MM_H[3], 1.0, 0.1, 0.2).extinction
+    extinction = snow_particles(snow.Snow.LEVELS["snowfall_mm_h"][3], 1.0, 0.1, 0.2).extinction
     assert np.allclose(seen.intensity, clean.intensity * np.exp(-2.0 * extinction * clean.range), rtol=1e-5)
 
 
