@@ -68,7 +68,7 @@ def with_other_points(monkeypatch: pytest.MonkeyPatch) -> None:
     right = fused.FusedEngine.sweep
 
     def wrong(*args: Any) -> list[Returns]:
-        return [replace(returns, points=returns.points + np.float32(0.01)) for returns in right(*args)]
+        return [returns._replace(points=returns.points + np.float32(0.01)) for returns in right(*args)]
 
     monkeypatch.setattr(fused.FusedEngine, "sweep", wrong)
 
@@ -130,8 +130,8 @@ class Faulty:
 
 
 def scaled(field: str, by: float) -> Callable[[Returns], Returns]:
-    return lambda returns: replace(
-        returns, **{field: (getattr(returns, field) * by).astype(getattr(returns, field).dtype)}
+    return lambda returns: returns._replace(
+        **{field: (getattr(returns, field) * by).astype(getattr(returns, field).dtype)}
     )
 
 
@@ -154,7 +154,7 @@ def scaled(field: str, by: float) -> Callable[[Returns], Returns]:
         Faulty(answer=scaled("time_offset", 0.99)),
         Faulty(answer=scaled("material", 0)),
         Faulty(answer=scaled("object_id", 2)),
-        Faulty(answer=lambda returns: replace(returns, points=returns.points[:, [1, 0, 2]])),
+        Faulty(answer=lambda returns: returns._replace(points=returns.points[:, [1, 0, 2]])),
     ],
 )
 def test_an_engine_that_gets_one_thing_wrong_fails_the_self_test(fault: Faulty) -> None:
