@@ -22,7 +22,6 @@ def compiled(*parts: ModuleType, **options: Any) -> Callable[[Callable[..., Any]
 
     Args:
         parts: other modules whose code is compiled in.
-        options: of `numba.njit`, beyond ours.
     """
     options = {"nogil": True, "error_model": "numpy", **options}
 

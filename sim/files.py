@@ -139,7 +139,6 @@ def _has_manifest(folder: Path) -> bool:
 
 
 def _holds(path: Path, content: bytes) -> bool:
-    """Return whether a regular file holds some bytes."""
     try:
         if not path.is_file() or not path.stat().st_size:
             return False

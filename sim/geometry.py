@@ -114,7 +114,6 @@ def center_from_sumo(
         front_xyz: (N, 3) m.
         angle_deg: (N,).
         slope_deg: (N,).
-        length: (N,) vehicle length, m.
 
     Returns:
         (N, 3) centre of the footprint at road level, (N,) yaw and (N,) pitch in radians (nose up is negative).

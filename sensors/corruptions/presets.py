@@ -45,7 +45,6 @@ def settings_of(
         kind: key of `CORRUPTIONS`, or `clean`, which has no settings: None.
         severity: 1 to 5; None for 3, or with a preset.
         family: of the settings; None for the physical one, or with a preset.
-        preset: name in `PRESETS`.
 
     Raises:
         SettingsError: an unknown kind, severity, family or preset, or a preset beside one of the others.

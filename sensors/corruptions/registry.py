@@ -211,11 +211,8 @@ def register_corruption(
         settings: five settings, of severities 1 to 5, or a class with `severity(level)`. Settings are builtins or
             `msgspec` structs: datasets store them. Settings of weather have `scaled(factor)`.
         apply: `apply(sweep, settings, rng) -> Sweep`.
-        in_frame: see `Corruption`.
+        in_frame, steady, weather, spares_ego: see `Corruption`.
         family: `paper` adds a published model to a kind that has a physical one.
-        steady: see `Corruption`.
-        weather: see `Corruption`.
-        spares_ego: see `Corruption`.
 
     Raises:
         SettingsError: the name is taken or invalid, there are not five settings, or no function.

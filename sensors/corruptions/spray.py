@@ -225,7 +225,6 @@ class _Segments:
 
 
 def _segments_of(plume: Plume, world_rays: _WorldRays) -> _Segments:
-    """Return the segments of rays inside a plume."""
     plume_from_world = invert(plume.world_from_plume)
     start = (plume_from_world[:3, :3] @ world_rays.origin + plume_from_world[:3, 3]).astype(np.float32)
     turn, bounds = plume_from_world[:3, :3].astype(np.float32), plume.bounds.astype(np.float32)
@@ -293,9 +292,7 @@ def _sample_depth(
     """Return (N, K) optical depth of each step and (N, K) its sampled range, m.
 
     Args:
-        segment: N of them.
         jitter: (N,) sample position within a step, as a share of it.
-        steps: K.
     """
     step = (segment.span / np.float32(steps))[:, None]
     along = segment.first[:, None] + step * (np.arange(steps, dtype=np.float32) + jitter[:, None])

@@ -79,7 +79,6 @@ def _wall_m(spec: LidarSpec) -> float | None:
 
 
 def _hall_sweep(spec: LidarSpec, wall_m: float) -> Sweep:
-    """Return a sweep from the middle of a cube with walls at a distance."""
     still = pose_matrix([0.0, 0.0, 0.0])
     hall = RayScene(trimesh.creation.box((2.0 * wall_m,) * 3))
     return scan(hall, spec, still, still, time_s=0.0, rng=np.random.default_rng(0))

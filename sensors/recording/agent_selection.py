@@ -72,7 +72,6 @@ def nearest_agents(actors: Actors, scenario: Scenario, ego_id: int) -> list[int]
 
 
 def _named(drive: Sequence[Actors], scenario: Scenario) -> list[int]:
-    """Return the named vehicles, in the order of the rule."""
     chosen = []
     for name in scenario.agents.named:
         if name not in drive[0].name:

@@ -81,7 +81,6 @@ def record(
         seed: of the choice of agents and of the sensors' noise.
         interval_s: time between frames, a multiple of the traffic's step.
         body_mesh: meshes of actors; left out: those of `sim.bodies.choice`.
-        threads: see `sensors.scan.lidar.scan_all`.
 
     Raises:
         SettingsError: impossible number of frames or interval.
@@ -101,7 +100,6 @@ def record(
 
 
 def _stride(step_s: float, interval_s: float, frames: int) -> int:
-    """Return the traffic steps per frame."""
     if frames < 1:
         raise SettingsError(f"frames: expected at least 1, found {frames}")
     stride = round(interval_s / step_s) if math.isfinite(interval_s) else 0

@@ -52,7 +52,6 @@ class Rig:
 
         Args:
             vehicle_spec: LiDAR of the vehicles; left out: the scenario's.
-            threads: see `sensors.scan.lidar.scan_all`.
 
         Raises:
             ScenarioError: unknown LiDAR preset.
@@ -126,7 +125,6 @@ class Rig:
         return replace(frame, sight=lines_of_sight(scene, frame))
 
     def _scene(self, now: Actors, before: Actors | None, after: Actors | None) -> RayScene:
-        """Return the scene with the actors of an instant."""
         if after is None and before is not None:
             after = _coasted(now, now.time_s - before.time_s).rounded()
         return self.scene.with_bodies(now, before, after, reach_s=0.5 * self.period_s)

@@ -89,7 +89,6 @@ def arcs_of(x: Array, y: Array, radius: Array) -> Arcs:
 
     Args:
         x: (N, K) middles of the K discs of each hull, m.
-        y: likewise.
         radius: (N, K or 1) of the discs, m.
     """
     # If the hull leaves out the origin, all of it lies less than a quarter turn from its middle.

@@ -96,7 +96,6 @@ def _near(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> Ints:
 
 
 def _by_fan(fan: Fan, request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
-    """Return the candidates of a spinning sensor."""
     azimuth = fan.azimuth[: request.beams.columns]
     of, first, after = _anywhere(request, shutter, bodies, rows).columns(azimuth, fan.spread)
     # Only these columns can meet the body, so only its poses while they fire matter.

@@ -34,7 +34,6 @@ class Sensor:
     Attributes:
         spec: its settings.
         path: world_from_lidar over at least the sweep.
-        time_s: reference time, s.
         rng: its random numbers, independent of the scene, so that a ray keeps its noise.
         rides_on: object that carries it, hidden unless `spec.own_body`.
     """
@@ -88,10 +87,8 @@ def scan(
         scene: static world and the bodies around `time_s`.
         world_from_lidar_start: (4, 4) pose half a rotation before `time_s`.
         world_from_lidar_end: (4, 4) pose half a rotation after.
-        time_s: reference time, s.
         exclude_id: object that carries the sensor, hidden.
         world_from_lidar: (4, 4) pose at `time_s`; half-way between start and end when left out.
-        wetness: see `scan_all`.
     """
     half = 0.5 * spec.period_s
     if world_from_lidar is None:

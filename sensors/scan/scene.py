@@ -39,7 +39,6 @@ class RayScene:
             static: triangles in the world frame with `face_attributes["material"]`, asphalt where missing; None for
                 bodies alone.
             body_mesh: meshes of actors; `sim.bodies.choice.body_mesh` when left out.
-            engine: see `sensors.raycast.open_engine`.
 
         Raises:
             DataError: not a mesh, no faces, NaN, or faces of unknown vertices or materials.

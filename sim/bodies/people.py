@@ -16,7 +16,6 @@ def _limb(points: list[Point], radii: list[float], material: str) -> list[MeshPa
 
 
 def _head(x: float, z: float) -> list[MeshPart]:
-    """Return face and hair around the middle of a head."""
     return [
         ellipsoid((x + 0.012, 0.0, z - 0.015), (0.095, 0.078, 0.120), "skin"),
         ellipsoid((x - 0.018, 0.0, z + 0.020), (0.092, 0.084, 0.110), "hair"),

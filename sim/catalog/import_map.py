@@ -50,7 +50,6 @@ def import_map(source: Path, name: str = "", out: Path | None = None) -> Path:
 
 
 def _scenario(source: Path, kind: str, name: str, found: ConvertedMap) -> str:
-    """Return the text of a scenario.toml."""
     from sim.roads.networks import read_network
     from sim.roads.polygons import has_buildings
 

@@ -85,7 +85,6 @@ def _shape(lane: RoadLane) -> Array:
 
 
 def _inside(net: Network, link: Link) -> Array:
-    """Return the lanes within a junction that a link follows."""
     parts = [np.zeros((0, 3))]
     via = link.getViaLaneID()
     while via:

@@ -214,16 +214,10 @@ def actor(
     """Return an actor that is `at_m` along its path at time `at_s`.
 
     Args:
-        name: see `ScriptedActor`.
         roles: separated by spaces.
-        type_name: see `ScriptedActor`.
-        path: see `ScriptedActor`.
         pace: speed profile, or a constant speed, m/s.
         at_m: distance along the path, m.
         at_s: time there, s.
-        size: see `ScriptedActor`.
-        lights: see `ScriptedActor`.
-        overtaking: see `ScriptedActor`.
     """
     steady = pace if isinstance(pace, SpeedProfile) else SpeedProfile.steady(pace)
     start_m = at_m - float(steady.distance(at_s))

@@ -128,7 +128,6 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
 
 
 def _type_maps(*names: str) -> str:
-    """Return SUMO's type files of road and lane classes."""
     return ",".join(str(sumo_home() / "data" / "typemap" / f"{name}.typ.xml") for name in names)
 
 

@@ -27,9 +27,6 @@ def with_room_to_park(text: str, houses: list[shapely.Geometry]) -> str:
     """Return the text of a .net.xml whose footways make room for parked cars on streets of at most 50 km/h.
 
     Ends of footways stay, so that crossings still meet them; no footway moves into a house or another street.
-
-    Args:
-        houses: outlines of buildings, m.
     """
     streets: dict[str, list[dict[str, str]]] = {}
     for found in _LANE.finditer(text):

@@ -96,7 +96,6 @@ def wheel_file(member: str) -> Path:
 
 
 def _fetch(wheel: Wheel, store: Path) -> None:
-    """Fetch a wheel and keep its data and licence."""
     store.parent.mkdir(parents=True, exist_ok=True)
     pinned = f"{wheel.package}=={wheel.version}"
     with tempfile.TemporaryDirectory(dir=store.parent) as work:

@@ -199,8 +199,6 @@ class DrivableTraffic(Traffic, Protocol):
         Args:
             object_id: a vehicle on the road.
             xy: (2,) centre of its footprint, m.
-            yaw: heading, rad.
-            speed_mps: its speed, m/s.
 
         Raises:
             ValueError: a value is not finite.

@@ -47,9 +47,6 @@ class YieldShim:
         Args:
             unseen: ids of the bodies that the simulation does not see.
             drivers: ids of the vehicles that may brake.
-            route: see `DrivableTraffic.route`.
-            limits: see `DrivableTraffic.limits`.
-            step_s: time step, s.
         """
         bodies = [
             (actors.boxes.center[row, :2], shapely.Polygon(actors.boxes[row : row + 1].bev_polygons()[0]))

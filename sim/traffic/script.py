@@ -209,7 +209,6 @@ class ScriptedTraffic(DrivableTraffic):
         return {mover.object_id for mover in self._movers if not mover.is_on_script(self._script_s)}
 
     def _move(self, mover: Mover, before: Actors, strays: set[int]) -> None:
-        """Advance one actor by a step."""
         if mover.crashed:
             mover.speed = 0.0
             return

@@ -64,7 +64,6 @@ def save_world(static: trimesh.Trimesh, shapes: Mapping[str, MeshPart], path: Pa
 
     Args:
         static: triangles with `face_attributes["material"]`.
-        shapes: see `shapes_of`.
     """
     material = np.asarray(static.face_attributes["material"])
     parts = {_STATIC: MeshPart(np.asarray(static.vertices, np.float64), np.asarray(static.faces), material), **shapes}

@@ -115,7 +115,6 @@ def rays_of(sweep: Sweep, range_10_m: float | None, rng: np.random.Generator) ->
 
     Args:
         sweep: as measured in clear air.
-        range_10_m: see `detection_threshold`.
         rng: draws the same numbers for any weather and any targets.
     """
     rows = np.asarray(sweep.points, np.float64)
@@ -151,7 +150,6 @@ def report(
     """Return the sweep through the medium, sorted by ring and column where echoes were added.
 
     Args:
-        rays: of `rays_of`.
         transmission: (P,) transmission to the points and back, [0, 1].
         shift_m: (P,) range error of the targets, m.
     """
@@ -197,9 +195,6 @@ def open_echoes(sweep: Sweep, ring: NDArray[np.intp], column: NDArray[np.intp], 
 
     Args:
         sweep: gives the sensor, its motion and the time.
-        ring: (N,) of the beams.
-        column: (N,) of the beams.
-        echo: of each of them.
     """
     spec = sweep.spec
     known = sweep.path is not None and sweep.motion != "raw"

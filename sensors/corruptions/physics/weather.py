@@ -28,11 +28,7 @@ _DRIFT, _MEDIUM = 0, 1
 
 
 def strength(seed: int, kind: str, time_s: float) -> float:
-    """Return the strength of a kind of weather at a time of a drive, relative to its severity: within 1 +- `DRIFT`.
-
-    Args:
-        time_s: of the frame, s.
-    """
+    """Return the strength of a kind of weather at a time of a drive, relative to its severity: within 1 +- `DRIFT`."""
     rng = random_generator(seed, Stream.WEATHER, kind, _DRIFT)
     shortest, longest = PERIODS_S
     period_s = shortest * (longest / shortest) ** rng.random(_WAVES)

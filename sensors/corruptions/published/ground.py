@@ -134,7 +134,6 @@ def noise_floor(ground: FittedGround, line: Array, factor: float) -> Array:
 
     Args:
         ground: points that it is fitted to.
-        line: `noise_line`.
         factor: of the line, 0.7.
     """
     return np.polyfit(ground.range_m, factor * np.polyval(line, ground.range_m) * ground.cosine, 2)

@@ -76,7 +76,6 @@ def remaining_points(
     Args:
         label: (P,) of each point.
         classes: labels of each class of vehicles.
-        settings: share to delete.
     """
     left = np.ones(len(label), bool)
     for labels in classes:

@@ -95,12 +95,9 @@ def place_bodies(
     """Move the instances of a scene and commit it.
 
     Args:
-        calls: see `Calls`.
         geometry: (N,) int64 handles of the slots.
         shown: (N,) int64 number of instants of each slot before; written.
         hidden: (H,) int64 ids of the bodies that rays of mask bit 0, 1, ... do not see.
-        object_id: (N,) int64.
-        motion: see `BodyPaths`.
         steps: (N,) int64, written: instants of each slot, equally spaced over the span.
         pose: (N, T, 3, 4) float32, written: the poses at those instants.
     """

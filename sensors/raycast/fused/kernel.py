@@ -462,7 +462,6 @@ def sweep_rings(
 
     Args:
         visible: (last - first, B) bool: whether the rays of a block may meet a body.
-        columns: written.
         start: row of the first point.
     """
     row = np.uint64(start)

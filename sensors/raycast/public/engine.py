@@ -100,7 +100,6 @@ class PublicEngine:
         """Cast K rays at a solid, as short as what they have hit before, and enter what is nearer.
 
         Args:
-            hits: of all rays, updated.
             rays: (K,) flat rows in `hits`.
             origin: (K, 3) in the solid's frame, or (n, 3) repeated for each sub-ray.
             direction: (K, 3) in the solid's frame.

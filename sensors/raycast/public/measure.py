@@ -100,7 +100,6 @@ def measure(hits: RayHits, axis: NDArray[np.float64], place: NDArray[np.float64]
 
 
 def _single(hits: RayHits, optics: Optics) -> _Echoes:
-    """Return the echoes of beams of one ray."""
     power = _power(hits, optics)
     place = _Place.on(optics.need, hits.distance, optics.reach_m)
     found = power >= place.read(optics.need)
@@ -155,7 +154,6 @@ def _choose(margin: Floats, returns: str) -> tuple[NDArray[np.int64], NDArray[np
 
     Args:
         margin: (S, n) by distance, 0 where there is no echo that is detected.
-        returns: see `LidarSpec`.
     """
     strongest = margin.argmax(axis=0)[None]
     last = len(margin) - 1 - (margin > 0.0)[::-1].argmax(axis=0)[None]

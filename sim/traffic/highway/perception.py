@@ -137,7 +137,6 @@ class Junction:
         return -inside.priority, away_m, driver.number, driver, ahead[1]
 
     def _has_room(self, lane: int, drivers: Sequence[Driver]) -> bool:
-        """Return whether the exit of a junction lane is free."""
         (after,) = self._roads.lanes[lane].after[:1] or (None,)
         return not any(d.lane_number == after and d.speed < 2.0 and d.along < 12.0 for d in drivers)
 
@@ -317,7 +316,6 @@ def _gives_way(a: Driver, path_a: PathAhead, b: Driver, path_b: PathAhead) -> tu
 
 
 def _has_neighbour(driver: Driver, drivers: Sequence[Driver]) -> bool:
-    """Return whether a vehicle drives beside a driver who has to merge."""
     if not driver.must_leave or driver.speed < 6.0:
         return False
     beside = driver.roads.number((*driver.target_lane_index[:2], driver.target_lane_index[2] - 1))

@@ -62,9 +62,7 @@ class ScriptClock:
         """Move the clock from a time to one step later.
 
         Args:
-            time_s: the present, s.
             ego_at_m: distance of the ego along its path, m.
-            ego_mps: its speed, m/s.
             driven: whether the ego has ever been commanded.
         """
         now_s = time_s + self.offset_s
@@ -82,7 +80,6 @@ class ScriptClock:
 
         Args:
             at_m: distance of the ego along its path, m.
-            speed_mps: its speed, m/s.
         """
         scripted_s = HIT_S - float(np.interp(at_m, self._places, self._times))
         if at_m >= self._hit_m:

@@ -63,7 +63,6 @@ def _length(points: NDArray[np.float64]) -> float:
 
 
 def _cut(points: NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
-    """Return the part of a polyline between two distances along it."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     start, end = np.clip([start, max(start, end)], 0.0, along[-1])
     inner = along[(along > start) & (along < end)]

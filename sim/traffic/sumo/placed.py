@@ -82,9 +82,6 @@ class PlacedVehicles:
         Args:
             sumo: the libsumo module of the running simulation.
             drivers: ids of the vehicles that SUMO drives.
-            route: see `DrivableTraffic.route`.
-            limits: see `DrivableTraffic.limits`.
-            step_s: time step, s.
         """
         ids = {name: int(object_id) for name, object_id in zip(actors.name, actors.boxes.object_id, strict=True)}
         unseen = [ids[name] for name in self._poses if name in ids]

@@ -265,7 +265,6 @@ class SumoTraffic(DrivableTraffic):
             self._placed.remove(name)
 
     def _undriven(self, actors: Actors) -> list[int]:
-        """Return the ids of the vehicles that SUMO drives."""
         not_free = self._commanded.keys() | set(self._parked.name)
         rows = [row for row, name in enumerate(actors.name) if name not in not_free and not self._users[name].is_person]
         return [int(object_id) for object_id in actors.boxes.object_id[rows]]

@@ -23,7 +23,6 @@ def barrier(kind: str, line: shapely.Geometry, height_m: float, streets: Streets
     """Return a barrier, clipped at lanes, footways and tracks.
 
     Args:
-        kind: one of `HEIGHT_M`.
         line: along which it stands, m.
     """
     frame = shapely.box(*streets.window)

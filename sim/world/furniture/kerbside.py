@@ -75,7 +75,6 @@ def furniture(
 
     Args:
         units: (U, 3) roadside sensors, which get a mast and a clear view.
-        rng: generator of trees.
         clear: ground without lamps and trees.
         map_objects: objects of a map; lamps and trees are generated only if it has none.
         front_gardens: share of the street fronts with a hedge or a fence.
@@ -148,7 +147,6 @@ def _base(streets: Streets, xy: Array) -> Array:
 
 
 def _mast(unit: Array, streets: Streets) -> MeshPart:
-    """Return the mast below a roadside sensor."""
     foot = _base(streets, unit[:2])
     return tube(foot, foot + np.array([0.0, 0.0, max(unit[2] - 0.25, 0.3)]), (0.09, 0.06), "metal", 8)
 

@@ -87,7 +87,6 @@ def read_streets(net: Network, area: Area | None, margin_m: float, bays: shapely
 
     Args:
         area: x_min, y_min, x_max, y_max, m.
-        margin_m: margin around it, m.
         bays: polygon of parking bays, a part of the road.
     """
     low_x, low_y, high_x, high_y = area or net.getBoundary()

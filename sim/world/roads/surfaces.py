@@ -65,7 +65,6 @@ def _kerbs(streets: Streets) -> shapely.Geometry:
 
 
 def _tracks(streets: Streets) -> list[MeshPart]:
-    """Return the two rails of each track off the road."""
     lines = [shapely.LineString(lane.line) for lane in streets.lanes if lane.kind == "rail" and not lane.internal]
     rails = [
         rail.buffer(0.04, cap_style="flat")
