@@ -89,8 +89,6 @@ def off_the_planes(sweep: Sweep, offset: float = 0.0) -> float:
     return float(np.minimum(np.abs(z), np.abs(y - 9.0)).max())
 
 
-@pytest.mark.parametrize("to", ["middle", "start", "end"])
-@pytest.mark.parametrize("turn", [0.0, 1.0])
 def straight(velocity: np.ndarray, time_s: float) -> Path:
     """Paths of bodies of (N, 3) velocities; positions cancel as long as no body turns."""
     away = np.array([-0.1, 0.1])
@@ -98,6 +96,8 @@ def straight(velocity: np.ndarray, time_s: float) -> Path:
     return Path(time_s + away, xyz, np.zeros_like(xyz))
 
 
+@pytest.mark.parametrize("to", ["middle", "start", "end"])
+@pytest.mark.parametrize("turn", [0.0, 1.0])
 def test_deskewing_straightens_static_points_bent_by_the_sensors_motion(to: str, turn: float) -> None:
     raw = measured(driving(turn=turn))
     assert off_the_planes(raw) > 0.05
