@@ -16,7 +16,7 @@ box = st.tuples(
 )  # fmt: skip
 
 
-def iou_3d(a: list[float], b: list[float]):
+def iou_3d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return volume_iou(a, b, bev_iou(a, b))
 
 

@@ -1,5 +1,7 @@
 """What a corruption or another method takes and gives, object by object."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from dsrc.review.errors.judged import JudgedRun
 from tests.dsrc.review.errors.runs import draw_run
 
 
-def objects_of(run: JudgedRun):
+def objects_of(run: JudgedRun) -> Iterator[tuple[int, int]]:
     return zip(run.table.position[run.truth_frame_of].tolist(), run.table.object_id.tolist(), strict=True)
 
 
