@@ -23,15 +23,13 @@ class JunctionArea:
         xy: position of the junction, m.
         area_m: (x_min, y_min, x_max, y_max) around it, m.
         lanes_km: lanes for cars in the area, km.
-        junctions: number of junctions of three or more streets in the area.
-        signals: number of those with traffic lights.
+        signals: number of junctions of three or more streets with traffic lights in the area.
         walk, cycle: whether there are footways and bicycle lanes.
     """
 
     xy: tuple[float, float]
     area_m: tuple[float, float, float, float]
     lanes_km: float
-    junctions: int
     signals: int
     walk: bool
     cycle: bool
@@ -74,7 +72,6 @@ def around(net: Network, xy: tuple[float, float], half_m: float = HALF_M) -> Jun
         xy=(round(xy[0], 1), round(xy[1], 1)),
         area_m=area,
         lanes_km=length / 1000.0,
-        junctions=len(nodes),
         signals=sum(node.getType().startswith("traffic_light") for node in nodes),
         walk=any(lane.allows("pedestrian") and not lane.allows(_CAR) for lane in lanes),
         cycle=any(lane.allows("bicycle") for lane in lanes),

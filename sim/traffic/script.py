@@ -129,7 +129,8 @@ class ScriptedTraffic(DrivableTraffic):
         if not self._open:
             raise TrafficError("this scripted traffic is closed")
         before = self._actors
-        strays = self._strays()
+        # Actors that are not where their script has them, nor with the others.
+        strays = {mover.object_id for mover in self._movers if not mover.is_on_script(self._script_s)}
         if self._waits:
             self._clock.advance(self.time_s, self._ego.at_m, self._ego.speed, driven=self._driven)
         self._steps += 1
@@ -203,10 +204,6 @@ class ScriptedTraffic(DrivableTraffic):
     def _script_s(self) -> float:
         """Time of the script, s."""
         return self.time_s + self._clock.offset_s
-
-    def _strays(self) -> set[int]:
-        """Return the ids of the actors that are not where their script has them, nor with the others."""
-        return {mover.object_id for mover in self._movers if not mover.is_on_script(self._script_s)}
 
     def _move(self, mover: Mover, before: Actors, strays: set[int]) -> None:
         if mover.crashed:

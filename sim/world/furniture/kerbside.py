@@ -191,7 +191,9 @@ def sign() -> MeshPart:
 def _lamps(streets: Streets, places: _Places) -> list[MeshPart]:
     """Return lamps, with signs between some of them, along the right side of each street of a town."""
     parts = []
-    for lane in _kerbside(streets):
+    for lane, side in _edges(streets):
+        if side > 0 or lane.speed > TOWN_SPEED_MPS:
+            continue
         line = offset(lane.line, -0.5 * lane.width - lane.verge - 0.8)
         for number, at in enumerate(np.arange(8.0, _length(line) - 4.0, 0.5 * _LAMP_EVERY_M)):
             here, ahead = cut_line(line, at, at + 0.5)[[0, -1]]
@@ -234,11 +236,6 @@ def tree(rng: np.random.Generator, size: float) -> MeshPart:
     # No leaf reaches beyond the crown, whose radius decides on the position of a tree.
     leaves[..., :2] *= np.minimum(1.0, 2.1 * size / np.maximum(flat, 1e-9))[..., None]
     return join([trunk, mesh_part(leaves, np.arange(3 * _LEAVES_PER_TREE), "leaves")])
-
-
-def _kerbside(streets: Streets) -> list[Lane]:
-    """Return the rightmost lanes of the streets of a town."""
-    return [lane for lane, side in _edges(streets) if side < 0 and lane.speed <= TOWN_SPEED_MPS]
 
 
 def _edges(streets: Streets) -> list[tuple[Lane, float]]:

@@ -21,7 +21,8 @@ def markings(streets: Streets) -> list[MeshPart]:
     lines: list[tuple[Array, float]] = []
     for lane in streets.lanes:
         if lane.kind == "crossing":
-            lines += _zebra(lane)
+            # A zebra crossing: half a metre of paint in each metre, across its width.
+            lines += [(cut, lane.width) for cut in dashes(lane.line, 0.5, 0.5)]
         elif lane.kind == "road" and not lane.internal:
             lines += _lane_lines(lane)
     inside = [(line, width) for line, width in lines if frame.contains(shapely.LineString(line))]
@@ -57,11 +58,6 @@ def _lane_lines(lane: Lane) -> list[tuple[Array, float]]:
             half = 0.4 * lane.width
             found += [(offset(end, side), 0.5) for side in np.linspace(-half, half, 4)]
     return found
-
-
-def _zebra(lane: Lane) -> list[tuple[Array, float]]:
-    """Return the bars of a zebra crossing: half a metre of paint in each metre, across its width."""
-    return [(cut, lane.width) for cut in dashes(lane.line, 0.5, 0.5)]
 
 
 def dashes(line: Array, dash_m: float, gap_m: float) -> list[Array]:
