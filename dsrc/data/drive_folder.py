@@ -17,13 +17,9 @@ def write_protocol(drive: Path, protocol: dict) -> None:
     write_file(drive / PROTOCOL, emit(_plain(protocol) | own))
 
 
-def _key(key: object) -> int | str:
-    return key if isinstance(key, int | str) else str(key)
-
-
 def _plain(value: object) -> Any:
     if isinstance(value, dict):
-        return {_key(key): _plain(item) for key, item in value.items()}
+        return {key if isinstance(key, int | str) else str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     known = value is None or isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value))

@@ -162,17 +162,15 @@ def _non_defaults(value: object) -> Any:
     """Return settings as plain values without defaults, so that later versions can add settings."""
     if isinstance(value, msgspec.Struct):
         fields = {field.name: field for field in msgspec.structs.fields(value)}
-        set_ = {name: getattr(value, name) for name, field in fields.items() if not _is_default(value, field)}
-        return {name: _non_defaults(item) for name, item in set_.items()}
+        usual = {
+            name: field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()
+            for name, field in fields.items()
+        }
+        held = {name: getattr(value, name) for name in fields}
+        return {name: _non_defaults(item) for name, item in held.items() if item != usual[name]}
     if isinstance(value, tuple | list):
         return [_non_defaults(item) for item in value]
     return {key: _non_defaults(item) for key, item in value.items()} if isinstance(value, dict) else value
-
-
-def _is_default(value: msgspec.Struct, field: msgspec.structs.FieldInfo) -> bool:
-    if field.default_factory is not msgspec.NODEFAULT:
-        return bool(getattr(value, field.name) == field.default_factory())
-    return bool(getattr(value, field.name) == field.default)
 
 
 def _reach(scenario: Scenario) -> Area | None:

@@ -242,7 +242,10 @@ def write_drive(
                     frame = source.frame(i)
                     if found is None:
                         found = settings
-                        write_protocol(drive, _protocol(settings, frame))
+                        # The keys that OpenCOOD's tools read, and ours.
+                        world = {"fixed_delta_seconds": settings["interval_s"], "seed": settings["seed"]}
+                        own = {**settings, "agents": agent_table(frame)}
+                        write_protocol(drive, {"world": world, "testbed": own})
                     write_frame(
                         drive, frame, settings["connected_vehicles"], source.plans(i), motion=settings["motion"]
                     )
@@ -253,9 +256,3 @@ def write_drive(
         remove_leftovers(drive)
         if missing or not (drive / CHECKSUMS).exists():
             write_checksums(drive)
-
-
-def _protocol(settings: dict, frame: Frame) -> dict:
-    """Return the content of `data_protocol.yaml`: the keys that OpenCOOD's tools read, and ours."""
-    world = {"fixed_delta_seconds": settings["interval_s"], "seed": settings["seed"]}
-    return {"world": world, "testbed": {**settings, "agents": agent_table(frame)}}

@@ -6,7 +6,7 @@ any number of workers, any executor and any number of interruptions.
 
 import logging
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -77,7 +77,10 @@ def generate_dataset(options: BuildOptions, pool: Pool = SERIAL, progress: Progr
         with pool.open() as executor:
             failed = _make_all(out, dataset, items, executor, progress)
             if options.cards:
-                _write_cards(out, items, failed, executor)
+                from dsrc.data.datasets.card import describe
+
+                for split in dict.fromkeys(item.split for item in items if item.path not in failed):
+                    describe(out / split, out / f"{split}.card", executor)
     if failed:
         name, reason = next(iter(failed.items()))
         others = f" ({len(failed)} of {len(items)} drives; see {MANIFEST})" if len(failed) > 1 else ""
@@ -174,9 +177,12 @@ def _save(
     entries: dict[str, ManifestEntry],
     failed: dict[str, str],
 ) -> None:
-    order = list(dataset.split)
     kept = [entries[item.path] for item in items if item.path in entries]
-    listed = sorted([*earlier.items, *kept], key=lambda entry: (_place(order, entry.drive.split("/")[0]), entry.drive))
+    place = {split: row for row, split in enumerate(dataset.split)}
+
+    def by_place(entry: ManifestEntry) -> tuple[int, str]:
+        return place.get(entry.drive.partition("/")[0], len(place)), entry.drive
+
     write_manifest(
         out,
         Manifest(
@@ -184,14 +190,10 @@ def _save(
             name=dataset.name,
             description=dataset.description,
             drives=max(earlier.drives, len(items) + len(earlier.items) + len(earlier.failed)),
-            items=tuple(listed),
+            items=tuple(sorted([*earlier.items, *kept], key=by_place)),
             failed=dict(sorted({**earlier.failed, **failed}.items())),
         ),
     )
-
-
-def _place(order: Sequence[str], split: str) -> int:
-    return order.index(split) if split in order else len(order)
 
 
 def _make(job: BuildJob, report: Progress) -> ManifestEntry:
@@ -223,7 +225,7 @@ def _record(job: BuildJob, report: Progress) -> None:
 def _entry(item: DriveItem, drive: Path) -> ManifestEntry:
     settings = read_settings(drive) or {}
     agents = settings.get("agents", {})
-    lidars = [(one.get("lidar") or {}).get("name", "") for one in agents.values()]
+    files = (path for path in drive.rglob("*") if path.is_file() and not path.name.startswith("."))
     return ManifestEntry(
         drive=item.path,
         key=item.key,
@@ -231,20 +233,7 @@ def _entry(item: DriveItem, drive: Path) -> ManifestEntry:
         seed=item.spec.seed,
         frames=item.spec.frames,
         agents=tuple(int(agent) for agent in agents),
-        lidars=tuple(lidars),
-        bytes=sum(path.stat().st_size for path in _files(drive)),
+        lidars=tuple((one.get("lidar") or {}).get("name", "") for one in agents.values()),
+        bytes=sum(path.stat().st_size for path in files),
         sha256=file_sha256(drive / CHECKSUMS),
     )
-
-
-def _files(drive: Path) -> Iterator[Path]:
-    return (path for path in drive.rglob("*") if path.is_file() and not path.name.startswith("."))
-
-
-def _write_cards(out: Path, items: Sequence[DriveItem], failed: dict[str, str], executor: Executor) -> None:
-    from dsrc.data.datasets.card import describe
-
-    for split in dict.fromkeys(item.split for item in items):
-        if not any(item.split == split and item.path not in failed for item in items):
-            continue
-        describe(out / split, out / f"{split}.card", executor)

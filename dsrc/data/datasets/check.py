@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsrc.data.checksums import CHECKSUMS, faulty_files
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
@@ -141,7 +140,7 @@ def _files_of(drive: Path, stem: str = "*") -> list[Fault]:
 
 def _frame_faults(drive: Drive, i: int, frame: Frame, before: Frame | None) -> Iterator[tuple[str, str]]:
     """Yield (place, fault) of a readable frame."""
-    truth, notes = frame.truth, _places(drive, i, "yaml")
+    truth, notes, own = frame.truth, _places(drive, i, "yaml"), own_settings(drive.protocol)
     for name, values in (("box", truth.array), ("velocity", np.nan_to_num(frame.velocity))):
         if not np.isfinite(values).all():
             yield notes[0], f"a {name} is not finite"
@@ -154,7 +153,7 @@ def _frame_faults(drive: Drive, i: int, frame: Frame, before: Frame | None) -> I
     for row, agent in enumerate(frame.agents):
         points = _places(drive, i, "pcd")[row]
         yield from ((points, text) for text in _sweep_faults(agent))
-        if _is_clean(drive) and (agent.sweep.object_id >= 0).any():
+        if "format" in own and not own.get("corruptions") and (agent.sweep.object_id >= 0).any():
             yield from ((points, text) for text in _label_faults(frame, row))
         yield from ((notes[row], text) for text in _pose_faults(frame, before, row))
 
@@ -180,13 +179,10 @@ def _label_faults(frame: Frame, row: int) -> Iterator[str]:
         i = differ[0]
         yield f"{counted[i]} points on object {truth.object_id[i]}, its label says {frame.points_on[row, i]}"
     homeless = labels[~np.isin(labels, truth.object_id)]
-    near = [number for number in homeless if _nearest(sweep.points[sweep.object_id == number]) < 100.0]
-    if near:
-        yield f"points of object {near[0]}, which has no box"
-
-
-def _nearest(points: NDArray[np.float32]) -> float:
-    return float(np.linalg.norm(points, axis=1).min())
+    for number in homeless:
+        if float(np.linalg.norm(sweep.points[sweep.object_id == number], axis=1).min()) < 100.0:
+            yield f"points of object {number}, which has no box"
+            return
 
 
 def _pose_faults(frame: Frame, before: Frame | None, row: int) -> Iterator[str]:
@@ -209,11 +205,6 @@ def _pose_faults(frame: Frame, before: Frame | None, row: int) -> Iterator[str]:
         yield f"{elapsed:g} s after the frame before it"
     elif moved > FASTEST_MPS * elapsed:
         yield f"{moved:.0f} m from where it was {elapsed:g} s before"
-
-
-def _is_clean(drive: Drive) -> bool:
-    own = own_settings(drive.protocol)
-    return "format" in own and not own.get("corruptions")
 
 
 def _places(drive: Drive, i: int, ending: str) -> Sequence[str]:

@@ -132,18 +132,14 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
     frames = int(about["frames"]) if changes.frames is None else changes.frames
     if frames > int(about["frames"]):
         raise SettingsError(complaint("render", "frames", f"at most {about['frames']}, as recorded", frames))
-    scenario = _checked(log, msgspec.structs.replace(scenario, agents=rule))
+    changed = msgspec.to_builtins(msgspec.structs.replace(scenario, agents=rule))
+    scenario = convert(changed, Scenario, f"{log}: with these changes", SettingsError)
     # Settings that a log lacks are those of the drive beside it.
     settings = read_settings(log.parent) if (log.parent / PROTOCOL).exists() else None
     kept = {name: settings[name] for name in ("connected_vehicles", "motion", "visibility")} if settings else {}
     spec = DriveSpec(scenario, int(about["seed"]), frames, interval_s=float(about["interval_s"]), **kept)
     spec.check("render")
     return spec
-
-
-def _checked(log: Path, scenario: Scenario) -> Scenario:
-    """Return the scenario; SettingsError for a change out of the range of scenario files."""
-    return convert(msgspec.to_builtins(scenario), Scenario, f"{log}: with these changes", SettingsError)
 
 
 def _names(log: Path, ids: Sequence[int | str], by_name: bool) -> tuple[str, ...]:

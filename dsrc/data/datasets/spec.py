@@ -157,15 +157,11 @@ def expand(dataset: DatasetSpec, path: Path) -> list[DriveItem]:
         ScenarioError: a scenario or a LiDAR is unknown.
         DataError: a recorded log is damaged.
     """
-    with parsing(path, "dataset", SettingsError):
-        return _expanded(dataset, path)
-
-
-def _expanded(dataset: DatasetSpec, path: Path) -> list[DriveItem]:
     items: dict[str, DriveItem] = {}
     taken: dict[tuple[str, int], str] = {}
-    for split, groups in dataset.split.items():
-        for row, group in enumerate(groups):
+    groups = [(split, row, group) for split, listed in dataset.split.items() for row, group in enumerate(listed)]
+    with parsing(path, "dataset", SettingsError):
+        for split, row, group in groups:
             where = f"{path}: split.{split}[{row}]"
             for item in _drives(dataset, split, group, path, where):
                 if item.path in items:
@@ -188,20 +184,13 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
         raise SettingsError(complaint(where, "drives", f"at most {MOST_DRIVES} in a group", count))
     combinations = itertools.product(group.scenarios, group.seeds, group.frames, vehicles, lidars, roadside)
     for name, seed, frames, number, lidar, roadside_lidar in combinations:
-        marks = [
-            mark
-            for axis, mark in (
-                (group.frames, f"{frames}f"),
-                (vehicles, f"{number}v"),
-                (lidars, lidar),
-                (roadside, roadside_lidar),
-            )
-            if len(axis) > 1
-        ]
+        axes = group.frames, vehicles, lidars, roadside
+        words = f"{frames}f", f"{number}v", lidar, roadside_lidar
+        marks = [word for axis, word in zip(axes, words, strict=True) if len(axis) > 1]
         stem = Path(name).parent.name if name.endswith("scenario.toml") else Path(name).stem
         drive = "_".join([stem, str(seed), *map(str, marks)])
-        recorded = path.parent / dataset.recorded / split / drive if dataset.recorded else None
-        recorded = recorded if recorded is not None and (recorded / TRAFFIC_LOG).is_file() else None
+        folder = path.parent / dataset.recorded / split / drive
+        recorded = folder if dataset.recorded and (folder / TRAFFIC_LOG).is_file() else None
         if recorded is None:
             beside = path.parent / name
             try:
@@ -209,7 +198,8 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
             except ScenarioError as error:
                 raise ScenarioError(f"{where}: scenarios: {error}") from None
         else:
-            scenario, proof = _recorded_scenario(recorded / TRAFFIC_LOG)
+            scenario, about = log_settings(recorded / TRAFFIC_LOG)
+            proof = about.get("proof")
         scenario = with_sensors(scenario, number, lidar, roadside_lidar, group.roadside)
         spec = DriveSpec(scenario, seed, frames, **group.shared())
         spec.check(where)
@@ -234,8 +224,3 @@ def log_settings(path: Path) -> tuple[Scenario, dict]:
             if not isinstance(about.get(name), kind) or isinstance(about[name], bool):  # type: ignore[arg-type]
                 raise DataError(complaint(path, f"about.{name}", "a number", about.get(name, "nothing")))
         return scenario, about
-
-
-def _recorded_scenario(log: Path) -> tuple[Scenario, dict | None]:
-    scenario, about = log_settings(log)
-    return scenario, about.get("proof")

@@ -52,7 +52,8 @@ def annotation(path: Path, content: dict) -> Annotation:
         ids.append(object_id)
         poses.append([*center, *numbers(path, entry, "angle", 3, where)])
         extents.append(extent)
-        labels.append(_label(str(entry.get("obj_type", "Car"))))
+        name = str(entry.get("obj_type", "Car")).lower()
+        labels.append(CLASSES.index(next((ours for word, ours in _WORDS.items() if word in name), "car")))
     # Poses of boxes have CARLA's order and signs of the angles, but are not mirrored.
     axes = world_from_lidar @ carla_matrix(np.array(poses, np.float64).reshape(-1, 6))
     boxes = flattened(axes, np.array(extents, np.float64).reshape(-1, 3), np.array(ids, np.int64))
@@ -67,11 +68,6 @@ def annotation(path: Path, content: dict) -> Annotation:
         mirrored=False,
         interval_s=INTERVAL_S,
     )
-
-
-def _label(name: str) -> int:
-    lower = name.lower()
-    return CLASSES.index(next((ours for word, ours in _WORDS.items() if word in lower), "car"))
 
 
 def _matrix(path: Path, field: str, rows: list) -> np.ndarray:
