@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
 import msgspec
 
@@ -236,34 +236,30 @@ def _compensated(source: Source, frame: Frame) -> Frame:
         raise DataError(f"{source.path}: {error}") from None
 
 
-class _Writer(Protocol):
+class _Writer:
     """Writer of drives in one format, frame by frame in order."""
-
-    def views(self, source: Source) -> int:
-        """Return the frames in the new tree for one of the drive."""
-        ...
-
-    def done(self, source: Source, i: int) -> bool:
-        """Return whether the drive's i-th frame is there."""
-        ...
-
-    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
-        """Write the drive's i-th frame."""
-        ...
-
-    def finish(self, sources: Sequence[Source]) -> None:
-        """Write the indices of all drives."""
-        ...
-
-
-class _Opv2v:
-    """Drives of ours: everything that a frame holds."""
 
     def __init__(self, out: Path, mark: Conversion) -> None:
         self.out, self.mark = out, mark
 
     def views(self, source: Source) -> int:
+        """Return the frames in the new tree for one of the drive."""
         return 1
+
+    def done(self, source: Source, i: int) -> bool:
+        """Return whether the drive's i-th frame is there."""
+        raise NotImplementedError
+
+    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
+        """Write the drive's i-th frame."""
+        raise NotImplementedError
+
+    def finish(self, sources: Sequence[Source]) -> None:
+        """Write the indices of all drives."""
+
+
+class _Opv2v(_Writer):
+    """Drives of ours: everything that a frame holds."""
 
     def done(self, source: Source, i: int) -> bool:
         folder = self.out / source.name
@@ -277,20 +273,18 @@ class _Opv2v:
             for path in _beside(drive.drive) if own_settings(drive.protocol) else ():
                 with replacing(folder / path.name) as temporary:
                     shutil.copyfile(path, temporary)
-            write_protocol(folder, self._protocol(source, drive, frame))
+            protocol = drive.protocol
+            if not own_settings(protocol):
+                converted = {"format": drive.format, "drive": source.name, "sha256": self.mark.drives[source.name]}
+                own = {"frames": len(drive), "agents": agent_table(frame), "converted": converted}
+                protocol = {**protocol, "testbed": own}
+            write_protocol(folder, protocol)
         write_frame(folder, frame, lists_connected_vehicles(drive.protocol), drive.plans(i))
 
     def finish(self, sources: Sequence[Source]) -> None:
         for source in sources:
             remove_leftovers(self.out / source.name)
             write_checksums(self.out / source.name)
-
-    def _protocol(self, source: Source, drive: Drive, frame: Frame) -> dict:
-        if own_settings(drive.protocol):
-            return drive.protocol
-        converted = {"format": drive.format, "drive": source.name, "sha256": self.mark.drives[source.name]}
-        own = {"frames": len(drive), "agents": agent_table(frame), "converted": converted}
-        return {**drive.protocol, "testbed": own}
 
 
 def _beside(drive: Path) -> list[Path]:
@@ -299,14 +293,11 @@ def _beside(drive: Path) -> list[Path]:
     return [path for path in files if path.name not in (PROTOCOL, CHECKSUMS)]
 
 
-class _Dair:
+class _Dair(_Writer):
     """Tree of pairs."""
 
     def __init__(self, out: Path, mark: Conversion) -> None:
         self._writer = DairWriter(out, None if mark.agent == _EGO else int(mark.agent))
-
-    def views(self, source: Source) -> int:
-        return 1
 
     def done(self, source: Source, i: int) -> bool:
         return self._writer.done(source.first + i)
@@ -321,7 +312,7 @@ class _Dair:
         self._writer.finish(range(sources[-1].first + len(sources[-1].frames)))
 
 
-class _Kitti:
+class _Kitti(_Writer):
     """Frame for each chosen agent."""
 
     def __init__(self, out: Path, mark: Conversion) -> None:
@@ -366,15 +357,10 @@ def _chosen(source: Source, agent: str) -> tuple[int, ...]:
     return (int(agent),)
 
 
-class _Mcap:
+class _Mcap(_Writer):
     """File for each drive."""
 
-    def __init__(self, out: Path, mark: Conversion) -> None:
-        self.out = out
-        self._open: McapFile | None = None
-
-    def views(self, source: Source) -> int:
-        return 1
+    _open: McapFile | None = None
 
     def done(self, source: Source, i: int) -> bool:
         return self._file(source).exists()
@@ -386,9 +372,6 @@ class _Mcap:
         if i + 1 == len(drive):
             self._open.close()
             self._open = None
-
-    def finish(self, sources: Sequence[Source]) -> None:
-        pass
 
     def _file(self, source: Source) -> Path:
         return self.out / f"{source.name}.mcap"

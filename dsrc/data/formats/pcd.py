@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from dsrc.data.formats.decimals import read_numbers
 from dsrc.data.formats.lzf import decompress
+from sensors.deskew import deskew
 from sensors.spec import LidarSpec
-from sensors.sweep import Sweep, make_sweep
+from sensors.sweep import Motion, Sweep, make_sweep
 from sim.errors import DataError, complaint
 from sim.reading import parsing, read_bytes
 
@@ -91,23 +92,19 @@ def read_table(path: Path) -> NDArray[np.void]:
     """
     content = read_bytes(path, "PCD file")
     with parsing(path, "PCD file"):
-        return _table_of(path, content)
-
-
-def _table_of(path: Path, content: bytes) -> NDArray[np.void]:
-    header, body = _split_header(path, content)
-    dtype, points = _record_type(path, header), _point_count(path, header)
-    form = header["DATA"][0]
-    if form == "binary":
-        expected = points * dtype.itemsize
-        if len(body) != expected:
-            raise DataError(complaint(path, "DATA", f"{expected} bytes for {points} points", f"{len(body)} bytes"))
-        return np.frombuffer(body, dtype)
-    if form == "ascii":
-        return _ascii_table(path, body, dtype, points)
-    if form == "binary_compressed":
-        return _compressed_table(path, body, dtype, points)
-    raise DataError(complaint(path, "DATA", "ascii, binary or binary_compressed", form))
+        header, body = _split_header(path, content)
+        dtype, points = _record_type(path, header), _point_count(path, header)
+        form = header["DATA"][0]
+        if form == "binary":
+            expected = points * dtype.itemsize
+            if len(body) != expected:
+                raise DataError(complaint(path, "DATA", f"{expected} bytes for {points} points", f"{len(body)} bytes"))
+            return np.frombuffer(body, dtype)
+        if form == "ascii":
+            return _ascii_table(path, body, dtype, points)
+        if form == "binary_compressed":
+            return _compressed_table(path, body, dtype, points)
+        raise DataError(complaint(path, "DATA", "ascii, binary or binary_compressed", form))
 
 
 def encode_pcd(sweep: Sweep) -> bytes:
@@ -159,39 +156,36 @@ def read_pcd(
     """
     table = read_table(path)
     with parsing(path, "PCD file"):
-        return _sweep(path, table, world_from_lidar, time_s, spec, mirrored, full_scale)
+        names = table.dtype.names or ()
+        for field in ("x", "y", "z"):
+            if field not in names:
+                raise DataError(complaint(path, "FIELDS", f"a field {field}", " ".join(names)))
+        for field in ("x", "y", "z", "rgb", *_COLUMNS):
+            if field in names and table.dtype[field].shape:
+                raise DataError(complaint(path, f"COUNT of {field}", "1", table.dtype[field].shape[0]))
+        if not mirrored:
+            table = table[np.isfinite(table["x"]) & np.isfinite(table["y"]) & np.isfinite(table["z"])]
+        with np.errstate(over="ignore"):
+            coordinates = {field: table[field].astype(np.float32) for field in ("x", "y", "z")}
+        for field, values in coordinates.items():
+            bad = np.flatnonzero(~np.isfinite(values))
+            if len(bad):
+                raise DataError(
+                    complaint(path, f"{field} of point {bad[0]}", "a finite number", str(table[field][bad[0]]))
+                )
+        y = -coordinates["y"] if mirrored else coordinates["y"]
+        points = np.stack([coordinates["x"], y, coordinates["z"]], axis=1)
+        columns = {column: table[field] for field, column in _COLUMNS.items() if field in names}
+        columns["intensity"] = _intensity(path, table, full_scale)
+        return make_sweep(points, world_from_lidar, time_s, spec, **columns)
 
 
-def _sweep(
-    path: Path,
-    table: NDArray[np.void],
-    world_from_lidar: NDArray[np.float64] | None,
-    time_s: float,
-    spec: LidarSpec | None,
-    mirrored: bool,
-    full_scale: float | None,
-) -> Sweep:
-    """Return the sweep of the records of a file; see `read_pcd`."""
-    names = table.dtype.names or ()
-    for field in ("x", "y", "z"):
-        if field not in names:
-            raise DataError(complaint(path, "FIELDS", f"a field {field}", " ".join(names)))
-    for field in ("x", "y", "z", "rgb", *_COLUMNS):
-        if field in names and table.dtype[field].shape:
-            raise DataError(complaint(path, f"COUNT of {field}", "1", table.dtype[field].shape[0]))
-    if not mirrored:
-        table = table[np.isfinite(table["x"]) & np.isfinite(table["y"]) & np.isfinite(table["z"])]
-    with np.errstate(over="ignore"):
-        coordinates = {field: table[field].astype(np.float32) for field in ("x", "y", "z")}
-    for field, values in coordinates.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise DataError(complaint(path, f"{field} of point {bad[0]}", "a finite number", str(table[field][bad[0]])))
-    y = -coordinates["y"] if mirrored else coordinates["y"]
-    points = np.stack([coordinates["x"], y, coordinates["z"]], axis=1)
-    columns = {column: table[field] for field, column in _COLUMNS.items() if field in names}
-    columns["intensity"] = _intensity(path, table, full_scale)
-    return make_sweep(points, world_from_lidar, time_s, spec, **columns)
+def compensated(path: Path, sweep: Sweep, motion: Motion | None) -> Sweep:
+    """Return the sweep of a file with another compensation of its sensor's motion, None for its own."""
+    try:
+        return sweep if motion is None else deskew(sweep, motion)
+    except DataError as error:
+        raise DataError(f"{path}: cannot be read as '{motion}': {error}") from None
 
 
 def _intensity(path: Path, table: NDArray[np.void], full_scale: float | None) -> NDArray[np.float32]:

@@ -43,12 +43,12 @@ from dsrc.data.formats.dair.tree import (
     read_labels,
     read_transform,
 )
-from dsrc.data.formats.pcd import SENSOR_FULL_SCALE, read_pcd
+from dsrc.data.formats.pcd import SENSOR_FULL_SCALE, compensated, read_pcd
 from dsrc.data.formats.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from dsrc.data.jsonio import read_json
-from sensors.deskew import check_motion, deskew
+from sensors.deskew import check_motion
 from sensors.frame import AgentFrame, Frame, count_points
-from sensors.sweep import Motion, Sweep
+from sensors.sweep import Motion
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint, did_you_mean
 
@@ -186,6 +186,7 @@ class DairReader:
         time_s = self._time_s("vehicle-side", pair.stems[0])
         now, tracked = self._labels(i)
         truth = now.boxes
+        known = [self._labels(j) if tracked and 0 <= j < len(self) else (now, False) for j in (i - 1, i + 1)]
         vehicle = self._agent("vehicle-side", pair, self._record.vehicle, self._speed(i))
         infrastructure = self._agent("infrastructure-side", pair, self._record.infrastructure, 0.0)
         agents = (vehicle, infrastructure)
@@ -194,7 +195,7 @@ class DairReader:
             time_s=time_s,
             agents=agents,
             truth=truth,
-            velocity=tracked_velocity(now, *(self._neighbour(i + step) if tracked else None for step in (-1, 1))),
+            velocity=tracked_velocity(now, *(other if of_tracks else None for other, of_tracks in known)),
             points_on=self._points_on(pair, agents, truth),
         )
         return frame if self._own else with_own_bodies(frame)
@@ -244,16 +245,8 @@ class DairReader:
         path = cloud_file(self._tree.root, side, stem)
         time_s = self._time_s(side, stem)
         sweep = read_pcd(path, world_from_lidar, time_s, record.lidar, mirrored=False, full_scale=SENSOR_FULL_SCALE)
-        sweep = self._compensated(path, replace(sweep, motion=record.motion))
+        sweep = compensated(path, replace(sweep, motion=record.motion), self.motion)
         return AgentFrame(record.agent_id, record.kind, world_from_body, speed, sweep)
-
-    def _compensated(self, path: Path, sweep: Sweep) -> Sweep:
-        if self.motion is None:
-            return sweep
-        try:
-            return deskew(sweep, self.motion)
-        except DataError as error:
-            raise DataError(f"{path}: cannot be read as '{self.motion}': {error}") from None
 
     def _label_file(self, pair: Pair) -> Path:
         return self._tree.root / "cooperative" / LABEL_FOLDERS[self._place.labels] / f"{pair.stems[0]}.json"
@@ -273,12 +266,6 @@ class DairReader:
         instant = TimedBoxes(self._time_s("vehicle-side", pair.stems[0]), boxes[np.argsort(ids, kind="stable")])
         return instant, tracked
 
-    def _neighbour(self, i: int) -> TimedBoxes | None:
-        if not 0 <= i < len(self._pairs):
-            return None
-        instant, tracked = self._labels(i)
-        return instant if tracked else None
-
     def _speed(self, i: int) -> float:
         """Return the vehicle's speed, m/s, from its positions a frame earlier and later; 0 without neighbours."""
         near = [j for j in (i - 1, i, i + 1) if 0 <= j < len(self._pairs)]
@@ -292,22 +279,18 @@ class DairReader:
     def _points_on(self, pair: Pair, agents: tuple[AgentFrame, ...], truth: Boxes) -> NDArray[np.int32]:
         if self._own:
             known = [count_points(agent.sweep, truth.object_id) for agent in agents]
-            # Trees of earlier versions list the objects without a number.
-            return np.maximum(known, [self._recorded_points(side, pair, truth) for side in SIDES])
-        counts = np.stack([truth.contains(agent.sweep.world_points).sum(axis=1) for agent in agents]).astype(np.int32)
+            # Sweeps may have been thinned, or tell no objects; trees of earlier versions list these without a number.
+            listed = [read_json(self._side_labels(side, pair), list[SideLabel]) for side in SIDES]
+            counts = [{label.track_id: label.points_on for label in labels} for labels in listed]
+            recorded = [[of.get(one, 0) for one in truth.object_id.tolist()] for of in counts]
+            return np.maximum(known, np.array(recorded, np.int32))
+        inside = np.stack([truth.contains(agent.sweep.world_points).sum(axis=1) for agent in agents]).astype(np.int32)
         place = np.stack([agent.sweep.world_from_lidar[:2, 3] for agent in agents])
         nearest = np.linalg.norm(truth.center[None, :, :2] - place[:, None], axis=2).argmin(axis=0)
-        unseen = np.flatnonzero(counts.sum(axis=0) == 0)
-        counts[nearest[unseen], unseen] = 1
-        return counts
+        unseen = np.flatnonzero(inside.sum(axis=0) == 0)
+        inside[nearest[unseen], unseen] = 1
+        return inside
 
     def _side_labels(self, side: str, pair: Pair) -> Path:
         stem = pair.stems[SIDES.index(side)]
         return self._tree.root / side / ("label/lidar" if side == SIDES[0] else "label/virtuallidar") / f"{stem}.json"
-
-    def _recorded_points(self, side: str, pair: Pair, truth: Boxes) -> NDArray[np.int32]:
-        """Return the points on each object as recorded: the sweeps may have been thinned, or tell no objects."""
-        counts = {
-            label.track_id: label.points_on for label in read_json(self._side_labels(side, pair), list[SideLabel])
-        }
-        return np.array([counts.get(int(one), 0) for one in truth.object_id], np.int32)

@@ -193,7 +193,8 @@ def open_tree(root: Path) -> Tree:
 @lru_cache(maxsize=4)
 def _open_tree(root: Path, stamps: tuple[int, ...]) -> Tree:
     pairs = read_json(root / PAIRS, list[Pair])
-    vehicle, infrastructure = (_side(root / side / "data_info.json") for side in SIDES)
+    listed = (read_json(root / side / "data_info.json", list[SideInfo]) for side in SIDES)
+    vehicle, infrastructure = ({PurePosixPath(info.pointcloud_path).stem: info for info in side} for side in listed)
     sidecar = read_json(root / SIDECAR, Sidecar) if (root / SIDECAR).exists() else None
     clouds = {side: _clouds(root, side) for side in SIDES}
     labels = {path.name for path in (root / "cooperative" / LABEL_FOLDERS["complemented"]).glob("*.json")}
@@ -204,9 +205,9 @@ def _open_tree(root: Path, stamps: tuple[int, ...]) -> Tree:
         if len(first) >= 20 or not first.isdecimal():
             raise DataError(complaint(root / PAIRS, f"[{row}].vehicle_pointcloud_path", "a number as name", first))
         # The published list has pairs of frames that were held back for testing or lie at the edge of a batch.
-        listed = first in vehicle and second in infrastructure
+        known = first in vehicle and second in infrastructure
         there = first in clouds["vehicle-side"] and second in clouds["infrastructure-side"]
-        if not (listed and there and f"{first}.json" in labels):
+        if not (known and there and f"{first}.json" in labels):
             left_out += 1
             continue
         batches.setdefault(str(vehicle[first].batch_id), []).append(pair)
@@ -236,10 +237,6 @@ def _splits(root: Path) -> dict[str, frozenset[str]]:
 def _by_number(item: tuple[str, object]) -> tuple[int, str]:
     short = len(item[0]) < 20 and item[0].isdecimal()
     return (int(item[0]) if short else 2**31, item[0])
-
-
-def _side(path: Path) -> dict[str, SideInfo]:
-    return {PurePosixPath(info.pointcloud_path).stem: info for info in read_json(path, list[SideInfo])}
 
 
 def _clouds(root: Path, side: str) -> set[str]:

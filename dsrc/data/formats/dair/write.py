@@ -44,6 +44,7 @@ _HALF_VIEW = np.radians(50.0)
 """Half the field of view of a camera at a sensor."""
 # Around the bottom: front left, front right, rear right, rear left; then the top. Ours begin at the front right.
 _CORNERS = [1, 0, 3, 2, 5, 4, 7, 6]
+_NO_OFFSET = {"delta_x": 0.0, "delta_y": 0.0}
 _VEHICLE, _INFRASTRUCTURE = "vehicle-side", "infrastructure-side"
 
 
@@ -84,10 +85,10 @@ class DairWriter:
         lidar_to_novatel = invert(vehicle.world_from_body) @ vehicle.sweep.world_from_lidar
         for name, table in {
             f"{_VEHICLE}/calib/lidar_to_novatel": {"transform": _transform(lidar_to_novatel)},
-            f"{_VEHICLE}/calib/novatel_to_world": {**_transform(vehicle.world_from_body), "relative_error": _offset()},
+            f"{_VEHICLE}/calib/novatel_to_world": {**_transform(vehicle.world_from_body), "relative_error": _NO_OFFSET},
             f"{_INFRASTRUCTURE}/calib/virtuallidar_to_world": {
                 **_transform(virtual.world_from_lidar),
-                "relative_error": _offset(),
+                "relative_error": _NO_OFFSET,
             },
             f"{_VEHICLE}/label/lidar": _side_labels(frame, seen[0], vehicle.sweep, hidden[0], counts[0]),
             f"{_VEHICLE}/label/lidar_backup": _side_labels(frame, front[0], vehicle.sweep, hidden[0], counts[0]),
@@ -103,7 +104,7 @@ class DairWriter:
             "split": split,
             "batch_id": str(batch),
             "drive": drive,
-            "times_us": [_microseconds(vehicle.sweep), _microseconds(virtual)],
+            "times_us": [round(sweep.time_s * 1e6) for sweep in (vehicle.sweep, virtual)],
             "vehicle": _record(vehicle, vehicle.sweep, None),
             "infrastructure": _record(infrastructure, virtual, body),
         }
@@ -171,10 +172,6 @@ def _before(truth: Boxes, sweep: Sweep) -> NDArray[np.bool_]:
     return np.abs(np.arctan2(place[:, 1], place[:, 0])) <= _HALF_VIEW
 
 
-def _microseconds(sweep: Sweep) -> int:
-    return round(sweep.time_s * 1e6)
-
-
 def _record(agent: AgentFrame, sweep: Sweep, body: NDArray[np.float64] | None) -> dict[str, Any]:
     return {
         "agent_id": int(agent.agent_id),
@@ -189,15 +186,11 @@ def _transform(matrix: NDArray[np.float64]) -> dict[str, Any]:
     return {"rotation": matrix[:3, :3].tolist(), "translation": matrix[:3, 3:].tolist()}
 
 
-def _offset() -> dict[str, float]:
-    return {"delta_x": 0.0, "delta_y": 0.0}
-
-
 def _world_labels(frame: Frame, kept: NDArray[np.bool_], hidden: NDArray[np.int64]) -> list[dict[str, Any]]:
     boxes = frame.truth[kept]
     corners = boxes.corners()[:, _CORNERS]
     return [
-        {**entry, "world_8_points": np.round(points, 6).tolist(), "system_error_offset": _offset()}
+        {**entry, "world_8_points": np.round(points, 6).tolist(), "system_error_offset": _NO_OFFSET}
         for entry, points in zip(_entries(boxes, hidden[kept]), corners, strict=True)
     ]
 
@@ -237,7 +230,7 @@ def _pair(stem: str) -> dict[str, Any]:
         "vehicle_image_path": f"{_VEHICLE}/image/{stem}.jpg",
         "vehicle_pointcloud_path": f"{_VEHICLE}/velodyne/{stem}.pcd",
         "cooperative_label_path": f"cooperative/{LABEL_FOLDERS['complemented']}/{stem}.json",
-        "system_error_offset": _offset(),
+        "system_error_offset": _NO_OFFSET,
     }
 
 

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from dsrc.data.checksums import marks_of_change
 from dsrc.data.formats.annotation import Annotation, with_own_bodies
 from dsrc.data.formats.opv2v.record import Record, encode_agent, read_agent, read_plan
-from dsrc.data.formats.pcd import encode_pcd, read_pcd
+from dsrc.data.formats.pcd import compensated, encode_pcd, read_pcd
 from dsrc.data.formats.velocity_from_tracks import TimedBoxes, tracked_velocity
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.points_in_boxes import points_in_boxes
-from sensors.deskew import check_motion, deskew, deskew_frame
+from sensors.deskew import check_motion, deskew_frame
 from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
-from sensors.sweep import Motion, Sweep
-from sim.boxes import Boxes, concatenate
+from sensors.sweep import Motion
+from sim.boxes import concatenate
 from sim.errors import DataError, complaint, did_you_mean
 from sim.files import write_file
 
@@ -218,7 +218,7 @@ class DriveReader:
             pose = np.array(record.world_from_lidar, np.float64)
             sweep = read_pcd(path, pose, record.sweep_time_s, record.lidar)
             sweep = replace(sweep, path=record.lidar_path(), motion=record.motion, lost=record.lost)
-            sweep = self._compensated(path, sweep)
+            sweep = compensated(path, sweep, self.motion)
             body = np.array(record.world_from_body, np.float64)
             agents.append(AgentFrame(agent_id, record.kind, body, record.speed_mps, sweep))
         return Frame(
@@ -232,7 +232,8 @@ class DriveReader:
             signals=np.array(first.signals, np.int32),
             lane=tuple(first.lane),
             visible_fraction=_fractions(records),
-            sight=_sight(records),
+            # Agents are in one order in the frame and in every record; old files lack their lines of sight.
+            sight=np.array([r.sight for r in records] if all(r.sight for r in records) else np.zeros((0, 0)), np.int8),
         )
 
     def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:
@@ -244,7 +245,7 @@ class DriveReader:
         for row, (agent_id, note) in enumerate(zip(self.agents, notes, strict=True)):
             path = self.drive / str(agent_id) / f"{stem}.pcd"
             sweep = read_pcd(path, note.world_from_lidar, now.time_s, mirrored=note.mirrored)
-            sweep = self._compensated(path, sweep)
+            sweep = compensated(path, sweep, self.motion)
             kind: AgentKind = "roadside" if agent_id < 0 else "vehicle"
             agents.append(AgentFrame(agent_id, kind, note.world_from_body, note.speed, sweep))
             listed = np.isin(truth.object_id, note.boxes.object_id)
@@ -257,9 +258,15 @@ class DriveReader:
 
     def _instant(self, stem: str, notes: list[Annotation]) -> tuple[TimedBoxes, NDArray[np.float64]]:
         """Return the objects of a frame and their (N, 2) velocities."""
-        interval_s = self._tick_s() if notes[0].interval_s is None else notes[0].interval_s
-        boxes, velocity = _union(notes)
-        return TimedBoxes(int(stem) * interval_s, boxes), velocity
+        world = self.protocol.get("world", {})
+        tick = world.get("fixed_delta_seconds", _TICK_S) if isinstance(world, dict) else _TICK_S
+        tick_s = float(tick) if isinstance(tick, int | float) and 0 < tick < math.inf else _TICK_S
+        interval_s = tick_s if notes[0].interval_s is None else notes[0].interval_s
+        boxes = concatenate([note.boxes for note in notes])
+        velocity = np.concatenate([np.zeros((0, 2)), *(note.velocity for note in notes)])
+        # Each object once, from the first agent that has annotated it, rows sorted by id.
+        _, first = np.unique(boxes.object_id, return_index=True)
+        return TimedBoxes(int(stem) * interval_s, boxes[first]), velocity[first]
 
     def _neighbours(self, stem: str) -> list[TimedBoxes | None]:
         """Return the objects a frame earlier and later."""
@@ -271,19 +278,6 @@ class DriveReader:
         foreign = [note for note in notes if isinstance(note, Annotation)]
         return self._instant(stem, foreign)[0] if foreign else None
 
-    def _compensated(self, path: Path, sweep: Sweep) -> Sweep:
-        if self.motion is None:
-            return sweep
-        try:
-            return deskew(sweep, self.motion)
-        except DataError as error:
-            raise DataError(f"{path}: cannot be read as '{self.motion}': {error}") from None
-
-    def _tick_s(self) -> float:
-        world = self.protocol.get("world", {})
-        tick = world.get("fixed_delta_seconds", _TICK_S) if isinstance(world, dict) else _TICK_S
-        return float(tick) if isinstance(tick, int | float) and 0 < tick < math.inf else _TICK_S
-
 
 def _fractions(records: list[Record]) -> NDArray[np.float32]:
     """Return (A, N) visible fractions; empty where an agent's file lacks them."""
@@ -291,22 +285,6 @@ def _fractions(records: list[Record]) -> NDArray[np.float32]:
         return np.zeros((0, 0), np.float32)
     rows = [[np.nan if share is None else share for share in r.visible_fraction] for r in records]
     return np.array(rows, np.float32).reshape(len(records), -1)
-
-
-def _sight(records: list[Record]) -> NDArray[np.int8]:
-    """Return (A, A) lines of sight between the agents; empty where an agent's file lacks them."""
-    if any(not r.sight for r in records):
-        return np.zeros((0, 0), np.int8)
-    # Agents are in one order in the frame and in every record.
-    return np.array([r.sight for r in records], np.int8)
-
-
-def _union(notes: list[Annotation]) -> tuple[Boxes, NDArray[np.float64]]:
-    """Return each object once, from the first agent that has annotated it, rows sorted by id."""
-    boxes = concatenate([note.boxes for note in notes])
-    velocity = np.concatenate([np.zeros((0, 2)), *(note.velocity for note in notes)])
-    _, first = np.unique(boxes.object_id, return_index=True)
-    return boxes[first], velocity[first]
 
 
 def drives_below(root: Path) -> list[Path]:

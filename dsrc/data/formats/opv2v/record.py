@@ -196,7 +196,10 @@ def read_agent(path: Path) -> Record | Annotation:
         return _annotation(path, parse_yaml(path, text))
     line, _, rest = text.partition("\n")
     with parsing(path, "record of the key testbed"):
-        record = _decoded(path, line[len(_PREFIX) : -1])
+        try:
+            record = msgspec.json.decode(line[len(_PREFIX) : -1], type=Record)
+        except (msgspec.MsgspecError, SettingsError) as error:  # the latter of the LiDAR in it
+            raise DataError(f"{path}: testbed: damaged record: {one_line(error, 200)}") from None
     if record.version != VERSION:
         raise DataError(complaint(path, "testbed.version", str(VERSION), record.version))
     if record.check != zlib.crc32(rest.encode()):
@@ -206,13 +209,6 @@ def read_agent(path: Path) -> Record | Annotation:
             "remove the line `testbed` from every yaml of the drive"
         )
     return _checked(path, record)
-
-
-def _decoded(path: Path, text: str) -> Record:
-    try:
-        return msgspec.json.decode(text, type=Record)
-    except (msgspec.MsgspecError, SettingsError) as error:  # the latter of the LiDAR in it
-        raise DataError(f"{path}: testbed: damaged record: {one_line(error, 200)}") from None
 
 
 def read_plan(path: Path) -> NDArray[np.float64]:
