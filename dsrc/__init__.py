@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from dsrc.data.clouds.corrupt import corrupt
     from dsrc.data.clouds.transform import CorruptTransform
     from dsrc.data.drives import Drive, open_drive, open_drives
-    from dsrc.data.frames import simulate_frames
     from dsrc.data.sample import Sample, SampleRequest, make_sample
-    from dsrc.data.write import generate
+    from dsrc.data.write import generate, simulate_frames
     from dsrc.evaluation.evaluate import evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
     from dsrc.evaluation.scoring.report import score_table
@@ -71,9 +70,8 @@ _MODULES = {
     "dsrc.data.clouds.corrupt": ("corrupt",),
     "dsrc.data.clouds.transform": ("CorruptTransform",),
     "dsrc.data.drives": ("Drive", "open_drive", "open_drives"),
-    "dsrc.data.frames": ("simulate_frames",),
     "dsrc.data.sample": ("Sample", "SampleRequest", "make_sample"),
-    "dsrc.data.write": ("generate",),
+    "dsrc.data.write": ("generate", "simulate_frames"),
     "dsrc.evaluation.evaluate": ("evaluate_drives",),
     "dsrc.evaluation.report.ap_table": ("result_table",),
     "dsrc.evaluation.scoring.report": ("score_table",),

@@ -1,12 +1,14 @@
 """Writing of a drive: the traffic log, then frame by frame an OPV2V tree; an interrupted run resumes.
 
 A resumed drive equals an uninterrupted one: the traffic log is written first and replayed from then on, the protocol
-fixes the settings, and a frame depends on the log, the settings and its number only.
+fixes the settings, and a frame depends on the log, the settings and its number only. `simulate_frames` gives the same
+frames in memory.
 """
 
 import logging
 import math
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
@@ -139,6 +141,41 @@ def generate(options: GenerateOptions, progress: Progress | None = None, watch: 
     drive = Path(options.out) / spec.name
     make_drive(spec, drive, progress, watch=watch)
     return drive
+
+
+def simulate_frames(
+    scenario: Scenario | str | Path,
+    frames: int = 100,
+    seed: int | None = None,
+    interval_s: float = 0.1,
+    *,
+    visibility: bool = True,
+) -> Iterator[Frame]:
+    """Frames of a drive, one after the other, as `generate` writes them but for the rounding of files.
+
+    Args:
+        scenario: a scenario, its name or its path.
+        seed: of everything random; None for the scenario's.
+        interval_s: time between frames, s.
+
+    Raises:
+        ScenarioError: the scenario is unknown or not valid, or has too few vehicles for its agents.
+        SettingsError: a setting is out of its range.
+    """
+    scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    seed = scenario.seed if seed is None else seed
+    spec = DriveSpec(scenario, seed, frames, interval_s=interval_s, visibility=visibility)
+    spec.check("simulate_frames")
+    return _frames(spec)
+
+
+def _frames(spec: DriveSpec) -> Iterator[Frame]:
+    if spec.scenario.conflict is not None:
+        spec, _ = settle_encounter(spec)
+    with tempfile.TemporaryDirectory(prefix="dsrc-") as folder:
+        log = Path(folder) / TRAFFIC_LOG
+        with open_simulated(spec.scenario, spec.seed, spec.frames, spec.interval_s, log, spec.visibility) as source:
+            yield from (source.frame(index) for index in range(spec.frames))
 
 
 def make_drive(
