@@ -40,13 +40,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class BuildJob:
-    """Drive of a dataset to make.
-
-    Attributes:
-        item: the drive.
-        folder: of the new drive.
-        threads: see `sensors.scan.lidar.scan_all`.
-    """
+    """Drive of a dataset to make in a folder, with the threads of `sensors.scan.lidar.scan_all`."""
 
     item: DriveItem
     folder: Path

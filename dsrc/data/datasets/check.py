@@ -30,12 +30,7 @@ _RIGID = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Fault of a file or folder.
-
-    Attributes:
-        place: the file or folder.
-        text: the fault.
-    """
+    """Fault of a place: a file or folder, "" where the text names it."""
 
     place: str
     text: str

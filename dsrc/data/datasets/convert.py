@@ -63,11 +63,8 @@ class Source:
     """Drive to convert.
 
     Attributes:
-        path: of the drive.
-        row: its number.
         name: in the new tree; drives of a split are below its folder.
-        frames: numbers of its frames.
-        agents: ids of its agents.
+        frames: their numbers in the drive.
         first: number of its first frame in the new tree, where it has numbers.
     """
 
@@ -86,14 +83,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class ConvertJob:
-    """Drive to write in another format.
-
-    Attributes:
-        out: folder of the conversion.
-        mark: settings of the conversion.
-        source: the drive.
-        anew: write also the frames that are there.
-    """
+    """Drive to write in another format; `anew` also the frames that are there."""
 
     out: Path
     mark: Conversion

@@ -18,10 +18,6 @@ class ManifestEntry(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         drive: SPLIT/DRIVE.
         key: hash of its settings.
-        scenario: name.
-        seed: of everything random.
-        frames: number of frames.
-        agents: ids.
         lidars: presets of the agents, in their order.
         bytes: of all its files.
         sha256: of its `SHA256SUMS`, which covers every file.
@@ -43,8 +39,6 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         version: of this file.
-        name: of the dataset.
-        description: one line.
         drives: number of drives, finished or not.
         items: finished drives, in the order of the split file.
         failed: reasons of failed drives, by SPLIT/DRIVE.
@@ -67,7 +61,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     """Return the manifest of a dataset; None for a folder without one.
 
     Raises:
-        DataError: the manifest is damaged.
+        DataError: it is damaged.
     """
     path = folder / MANIFEST
     if not path.is_file():

@@ -31,15 +31,7 @@ from sim.traffic.tracks.open import READERS
 
 @dataclass(frozen=True, slots=True)
 class RenderJob:
-    """Drive to render.
-
-    Attributes:
-        spec: settings of the drive.
-        folder: of the new drive.
-        recorded: folder of its traffic log.
-        more: further entries of its protocol.
-        threads: see `sensors.scan.lidar.scan_all`.
-    """
+    """Drive to render; the arguments of `make_drive`."""
 
     spec: DriveSpec
     folder: Path

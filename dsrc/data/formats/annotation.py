@@ -58,12 +58,8 @@ def annotation(path: Path, content: dict) -> Annotation:
     speed = number(path, "ego_speed", content.get("ego_speed", 0.0)) / 3.6
     rows = [_vehicle(path, key, entry) for key, entry in vehicles_of(path, content).items()]
     ids = np.array([row[0] for row in rows], np.int64)
-    boxes = upright_boxes(
-        np.array([row[1] for row in rows]).reshape(-1, 3),
-        np.array([row[2] for row in rows]).reshape(-1, 3),
-        np.array([row[3] for row in rows]).reshape(-1, 3),
-        object_id=ids,
-    )
+    center, angle_deg, extent = (np.array([row[k] for row in rows], np.float64).reshape(-1, 3) for k in (1, 2, 3))
+    boxes = flattened(matrix_from_carla(np.concatenate([center, angle_deg], axis=1)), extent, ids)
     speeds = np.array([row[4] for row in rows], np.float64)
     velocity = speeds[:, None] * np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
     order = np.argsort(ids, kind="stable")
@@ -103,31 +99,10 @@ def _vehicle(path: Path, key: int, entry: dict) -> tuple[int, list[float], list[
     return key, middle, angle, extent, speed
 
 
-def upright_boxes(
-    center: NDArray[np.float64],
-    angle_deg: NDArray[np.float64],
-    extent: NDArray[np.float64],
-    lidar_pose: NDArray[np.float64] | None = None,
-    object_id: NDArray[np.int64] | None = None,
-) -> Boxes:
-    """Turn CARLA boxes into upright boxes of our world or of a LiDAR's frame.
+def flattened(axes: NDArray[np.float64], extent: NDArray[np.float64], object_id: NDArray[np.int64]) -> Boxes:
+    """Return upright boxes, of the class car, for tilted ones: with the mean edges of their corners seen from above.
 
-    A tilted box becomes the upright one with the mean edges of its eight corners seen from above, as in OpenCOOD.
-
-    Args:
-        center: (N, 3) CARLA world, m.
-        angle_deg: (N, 3) roll, yaw, pitch.
-        extent: (N, 3) half length, width and height, m.
-        lidar_pose: CARLA pose of the LiDAR whose frame is wanted; None for the world.
-        object_id: (N,) ids.
-    """
-    world_from_box = matrix_from_carla(np.concatenate([center, angle_deg], axis=1))
-    frame = np.eye(4) if lidar_pose is None else np.linalg.inv(matrix_from_carla(lidar_pose))
-    return flattened(frame @ world_from_box, extent, object_id)
-
-
-def flattened(axes: NDArray[np.float64], extent: NDArray[np.float64], object_id: NDArray[np.int64] | None) -> Boxes:
-    """Return upright boxes of tilted ones, with the class car; see `upright_boxes`.
+    So does OpenCOOD.
 
     Args:
         axes: (N, 4, 4) poses of the boxes.
@@ -139,8 +114,7 @@ def flattened(axes: NDArray[np.float64], extent: NDArray[np.float64], object_id:
     size = np.stack([np.hypot(*along.T), np.hypot(*across.T), 2.0 * extent[:, 2] * np.abs(axes[:, 2, 2])], axis=1)
     yaw = np.arctan2(along[:, 1], along[:, 0])
     label = np.zeros(len(axes), np.int64)
-    ids = np.full(len(axes), -1, np.int64) if object_id is None else object_id
-    return Boxes(axes[:, :3, 3].copy(), size, wrap_angle(yaw), label, ids)
+    return Boxes(axes[:, :3, 3].copy(), size, wrap_angle(yaw), label, object_id)
 
 
 def with_own_bodies(frame: Frame) -> Frame:

@@ -14,7 +14,7 @@ import yaml
 from dsrc.data.checksums import write_checksums
 from dsrc.data.drive_folder import write_protocol
 from dsrc.data.drives import list_drives
-from dsrc.data.formats.annotation import upright_boxes
+from dsrc.data.formats.annotation import flattened
 from dsrc.data.formats.opv2v.reader import DriveReader, write_frame
 from dsrc.data.formats.pcd import read_pcd
 from sensors.deskew import deskew_frame
@@ -219,7 +219,9 @@ def test_carla_boxes_match_the_reference() -> None:
     golden = goldens.load("coords")
     for case in ("case0", "case1", "case2"):
         get = {k: golden[f"{case}/{k}"] for k in ("ids", "location", "center", "angle", "extent", "lidar_pose")}
-        boxes = upright_boxes(get["location"] + get["center"], get["angle"], get["extent"], get["lidar_pose"])
+        world_from_box = matrix_from_carla(np.concatenate([get["location"] + get["center"], get["angle"]], axis=1))
+        lidar_from_box = np.linalg.inv(matrix_from_carla(get["lidar_pose"])) @ world_from_box
+        boxes = flattened(lidar_from_box, get["extent"], get["ids"])
         order = [golden[f"{case}/unfiltered/ids"].tolist().index(i) for i in get["ids"]]
         want = goldens.ours(golden[f"{case}/unfiltered/boxes"][order])
         assert goldens.apart(boxes.array, want).max() < 1e-6
