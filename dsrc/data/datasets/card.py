@@ -288,7 +288,7 @@ def _markdown(card: Card, pictures: Sequence[tuple[str, str]]) -> str:
         f"# {card.name}",
         "",
         f"Drives: {len(card.drives)}; frames: {card.frames}; sweeps: {card.agent_frames}. Drives by agents: {numbers}.",
-        f"{listed}",
+        listed,
         f"Points per sweep: {_spread(points)}.",
         f"Of the boxes within 100 m of the ego {seen['ego'] / total:.0%} have points of the ego,"
         f" {seen['helper only'] / total:.0%} of a helper only, {seen['nobody'] / total:.0%} of nobody.",

@@ -32,6 +32,7 @@ from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.jobs import run_jobs
 from dsrc.runs.lock import LOCK, locked
+from dsrc.runs.series import check_same
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
@@ -200,12 +201,8 @@ def _check_folder(out: Path, wanted: Conversion) -> Literal["begun", "finished",
             raise DataError(complaint(out, "folder", "a new or empty one", f"'{others[0]}' in it"))
         return "begun"
     found = read_json(out / CONVERSION, Conversion)
-    for field in ("version", "to", "agent", "view", "drives"):
-        have, want = getattr(found, field), getattr(wanted, field)
-        if have != want:
-            shown = "other drives" if field == "drives" else have
-            asked = "the drives asked for now" if field == "drives" else f"{want!r} as asked for now"
-            raise DataError(complaint(out / CONVERSION, field, asked, shown, "; choose another folder"))
+    as_begun = msgspec.structs.replace(found, finished=False, files=0)
+    check_same(out / CONVERSION, msgspec.to_builtins(as_begun), msgspec.to_builtins(wanted))
     if not found.finished:
         return "begun"
     return "lacking" if _files(out) < found.files else "finished"

@@ -52,7 +52,8 @@ CAMERA_FROM_LIDAR = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0.0, 0.0, 0.0, 1.0]],
 )
 _NEAR_M = 0.1
-_SETS = ("train", "val", "test")
+_SETS = {"train": ("train",), "val": ("val",), "test": ("test",), "trainval": ("train", "val")}
+"""Splits in each list of frames."""
 
 
 class KittiWriter:
@@ -82,9 +83,9 @@ class KittiWriter:
 
     def finish(self, places: Sequence[tuple[int, str, str, int, int]]) -> None:
         """Write the lists of frames; places are (number, split, drive, frame, agent), split train, val or test."""
-        for name in _SETS:
-            _list(self.out / "ImageSets" / f"{name}.txt", [place[0] for place in places if place[1] == name])
-        _list(self.out / "ImageSets" / "trainval.txt", [place[0] for place in places if place[1] != "test"])
+        for name, splits in _SETS.items():
+            numbers = (f"{number:06d}\n" for number, split, *_ in places if split in splits)
+            write_file(self.out / "ImageSets" / f"{name}.txt", "".join(numbers).encode())
         rows = [f"{number:06d},{split},{drive},{index},{agent}\n" for number, split, drive, index, agent in places]
         write_file(self.out / "frames.csv", ("number,split,drive,frame,agent\n" + "".join(rows)).encode())
 
@@ -151,7 +152,3 @@ def _black() -> bytes:
     header = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0)
     pixels = zlib.compress(bytes((1 + 3 * WIDTH) * HEIGHT), 9)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
-
-
-def _list(path: Path, numbers: list[int]) -> None:
-    write_file(path, "".join(f"{number:06d}\n" for number in numbers).encode())

@@ -122,18 +122,15 @@ class McapFile:
 
     def write(self, frame: Frame) -> None:
         """Append a frame."""
-        with named(self.path):
-            self._append(frame)
-
-    def _append(self, frame: Frame) -> None:
-        self._message("/tf", "foxglove.FrameTransforms", frame.time_s, _transforms(frame))
-        for agent in frame.agents:
-            topic = f"/agents/{agent.agent_id}/points"
-            self._message(topic, "foxglove.PointCloud", frame.time_s, _cloud(agent, frame.time_s))
         entities = _entities(frame)
         names = {entity["id"] for entity in entities}
         gone = [{"timestamp": _time(frame.time_s), "type": 0, "id": name} for name in sorted(self._shown - names)]
-        self._message("/truth", "foxglove.SceneUpdate", frame.time_s, {"deletions": gone, "entities": entities})
+        with named(self.path):
+            self._message("/tf", "foxglove.FrameTransforms", frame.time_s, _transforms(frame))
+            for agent in frame.agents:
+                topic = f"/agents/{agent.agent_id}/points"
+                self._message(topic, "foxglove.PointCloud", frame.time_s, _cloud(agent, frame.time_s))
+            self._message("/truth", "foxglove.SceneUpdate", frame.time_s, {"deletions": gone, "entities": entities})
         self._shown = names
         self._frames += 1
 
