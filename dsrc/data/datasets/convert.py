@@ -201,8 +201,11 @@ def _check_folder(out: Path, wanted: Conversion) -> Literal["begun", "finished",
             raise DataError(complaint(out, "folder", "a new or empty one", f"'{others[0]}' in it"))
         return "begun"
     found = read_json(out / CONVERSION, Conversion)
-    as_begun = msgspec.structs.replace(found, finished=False, files=0)
+    as_begun = msgspec.structs.replace(found, finished=False, files=0, drives=wanted.drives)
     check_same(out / CONVERSION, msgspec.to_builtins(as_begun), msgspec.to_builtins(wanted))
+    if found.drives != wanted.drives:
+        hint = "; choose another folder"
+        raise DataError(complaint(out / CONVERSION, "drives", "the drives asked for now", "other drives", hint))
     if not found.finished:
         return "begun"
     return "lacking" if _files(out) < found.files else "finished"
