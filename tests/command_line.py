@@ -10,20 +10,10 @@ from typing import Any
 import msgspec
 
 from dsrc.cli import options
-from dsrc.cli.main import COMMANDS, command_class
+from dsrc.cli.main import commands
 
 FROZEN = Path(__file__).parent / "fixtures" / "command_line.txt"
 RENEW = "python -m tests.command_line"
-
-
-def commands() -> Iterator[tuple[tuple[str, ...], type]]:
-    """Yield the words of every command and the class of its options."""
-    for name, found in COMMANDS.items():
-        if isinstance(found, str):
-            yield (name,), command_class(found)
-        else:
-            for part, place in found.items():
-                yield (name, part), command_class(place)
 
 
 def command_line() -> str:

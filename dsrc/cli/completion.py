@@ -1,12 +1,9 @@
-"""Command `dsrc completion`: words that a shell offers, made of the structs that the help is made of."""
+"""Script of `dsrc completion`: words that a shell offers, made of the structs that the help is made of."""
 
 import re
-import sys
-from collections.abc import Iterable, Iterator
-from typing import Literal
+from collections.abc import Iterable, Iterator, Mapping
 
-import msgspec
-from tyro.conf import Positional
+from dsrc.cli.options import fields_of, metavar, option_words
 
 _CHOICES = re.compile(r"\{([^}]*)\}")
 
@@ -37,43 +34,28 @@ complete -o default -F _dsrc dsrc
 """Without an answer the shell offers files."""
 
 
-class Completion(msgspec.Struct, frozen=True):
-    """Print the script with which a shell completes commands, options and names.
+def script(shell: str, commands: Mapping[tuple[str, ...], type]) -> str:
+    """Return the script of a shell, bash or zsh.
 
-    Examples:
-        dsrc completion bash > ~/.local/share/bash-completion/completions/dsrc
-        eval "$(dsrc completion zsh)"
-
-    Attributes:
-        shell: shell that runs the script.
+    Args:
+        commands: class of the options of every command, by its words.
     """
-
-    shell: Positional[Literal["bash", "zsh"]]
-
-    def run(self) -> None:
-        """Print the script."""
-        if self.shell == "zsh":
-            sys.stdout.write("autoload -Uz compinit bashcompinit && compinit && bashcompinit\n")
-        sys.stdout.write(_SCRIPT % "\n".join(_cases()))
+    begin = "autoload -Uz compinit bashcompinit && compinit && bashcompinit\n" if shell == "zsh" else ""
+    return begin + _SCRIPT % "\n".join(_cases(commands))
 
 
-def _cases() -> Iterator[str]:
-    """Yield a branch of the script for every command, and for every option with choices: its words."""
-    from dsrc.cli.main import COMMANDS, command_class
-
-    yield _case("", [*COMMANDS, "help"])
-    for name, found in COMMANDS.items():
-        if isinstance(found, str):
-            yield from _command_cases(name, command_class(found))
-        else:
-            yield _case(name, found)
-            for part, place in found.items():
-                yield from _command_cases(f"{name} {part}", command_class(place))
+def _cases(commands: Mapping[tuple[str, ...], type]) -> Iterator[str]:
+    """Yield a branch of the script for every group and command, and for every option with choices: its words."""
+    groups: dict[str, list[str]] = {}
+    for *group, name in commands:
+        groups.setdefault(" ".join(group), []).append(name)
+    yield _case("", [*dict.fromkeys(first for first, *_ in commands), "help"])
+    yield from (_case(group, names) for group, names in groups.items() if group)
+    for words, command in commands.items():
+        yield from _command_cases(" ".join(words), command)
 
 
-def _command_cases(words: str, command: type[msgspec.Struct]) -> Iterator[str]:
-    from dsrc.cli.options import fields_of, metavar, option_words
-
+def _command_cases(words: str, command: type) -> Iterator[str]:
     offered, cases = ["--help"], []
     for name, kind, *_ in fields_of(command):
         listed = _choices(metavar(kind))

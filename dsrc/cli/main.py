@@ -1,9 +1,13 @@
 """Dispatch of the command line: finds the command, reads its options, runs it."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
+from typing import Literal
+
+import msgspec
+from tyro.conf import Positional
 
 COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     "list": "scenario.ListNames",
@@ -33,11 +37,31 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     "view": "view.View",
     "drive": "drive.Drive",
     "demo": "demo.Demo",
-    "completion": "completion.Completion",
+    "completion": "main.Completion",
 }
 """Commands, or groups of commands, by name: module of this package and class of the options."""
 
 DESCRIPTION = "CPU-first testbed for cooperative driving: simulate, sense, corrupt, detect, drive, review."
+
+
+class Completion(msgspec.Struct, frozen=True):
+    """Print the script with which a shell completes commands, options and names.
+
+    Examples:
+        dsrc completion bash > ~/.local/share/bash-completion/completions/dsrc
+        eval "$(dsrc completion zsh)"
+
+    Attributes:
+        shell: shell that runs the script.
+    """
+
+    shell: Positional[Literal["bash", "zsh"]]
+
+    def run(self) -> None:
+        """Print the script."""
+        from dsrc.cli.completion import script
+
+        sys.stdout.write(script(self.shell, dict(commands())))
 
 
 def run(args: Sequence[str] | None = None) -> None:
@@ -76,6 +100,16 @@ def run(args: Sequence[str] | None = None) -> None:
                 command.run()
             return
         level = found
+
+
+def commands() -> Iterator[tuple[tuple[str, ...], type]]:
+    """Yield the words of every command and the class of its options."""
+    for name, found in COMMANDS.items():
+        if isinstance(found, str):
+            yield (name,), command_class(found)
+        else:
+            for part, place in found.items():
+                yield (name, part), command_class(place)
 
 
 def command_class(place: str) -> type:
