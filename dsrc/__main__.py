@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import signal
 import sys
 import warnings
@@ -19,6 +20,12 @@ _PATH_ERRORS = frozenset(
     if hasattr(errno, name)
 )
 """Errors of the file system that are the fault of a path that the user gave, or of the disk."""
+
+_RESUMES = re.compile(
+    r"(generate|corrupt|dataset (build|record|render|convert)|model train|evaluate|benchmark|shares|demo)\b"
+    r"|drive .*--out\b"
+)
+"""Commands that go on where an interrupt left them."""
 
 
 def main(args: list[str] | None = None) -> None:
@@ -46,8 +53,8 @@ def main(args: list[str] | None = None) -> None:
         # A view that ends by an interrupt says so with 0; without a code a package may have swallowed the interrupt.
         if interrupts.received and code != 0:
             word = "terminated" if interrupts.received == signal.SIGTERM else "interrupted"
-            resuming = "generate, corrupt, dataset, model train, evaluate, benchmark, drive --out, shares and demo"
-            line = f"dsrc: {word}; {resuming} resume\n"
+            again = "resumes" if _RESUMES.match(" ".join(sys.argv[1:] if args is None else args)) else "starts anew"
+            line = f"dsrc: {word}; the same command again {again}\n"
             code = 128 + interrupts.received
         code = _write(line, code)
         if code is not None:

@@ -119,6 +119,8 @@ def lesson(outcomes: Mapping[str, str]) -> str:
     alone, together = outcomes[ALONE], outcomes[TOGETHER]
     if alone == Outcome.CRASHED and together == Outcome.ARRIVED:
         return "The same driver: alone it turns into the car that the truck hides; with its helpers' LiDARs it waits."
+    if Outcome.DESYNCHRONISED in (alone, together):
+        return "The drives end before the hidden car comes; without --quick they go on, and show who crashes."
     if alone == together:
         return f"Cooperation does not decide this drive: both {alone}."
     return f"Alone: {alone}; with helpers: {together}."

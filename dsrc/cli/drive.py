@@ -138,7 +138,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             if self.docs is not None:
                 places += [publish_report(result, out, self.docs), self.docs]
             if any((out / "episodes").glob("*.npz")):
-                made(places, "results, tables and logs of episodes", "view", out)
+                made(places, "results, tables and logs of episodes", "view", out, new=episodes > 0)
             else:  # all results are of an earlier run
                 made(places, "results and tables")
 

@@ -39,18 +39,19 @@ def log_lines(name: str) -> None:
         log.addHandler(logging.StreamHandler())
 
 
-def made(places: Path | Sequence[Path], what: str, *then: object) -> None:
+def made(places: Path | Sequence[Path], what: str, *then: object, new: bool = True) -> None:
     """Print what a command wrote: the places on standard output, which scripts read, the rest on standard error.
 
     Args:
         places: files or folders, a line each.
         what: the written thing, a few words.
         then: words of the command that one would run next; none where there is no such command.
+        new: whether the command made anything that an earlier run had not.
     """
     listed = [places] if isinstance(places, Path) else places
     sys.stdout.writelines(f"{place}\n" for place in listed)
     sys.stdout.flush()
-    sys.stderr.write(f"wrote {what}\n")
+    sys.stderr.write(f"{'wrote' if new else 'already there:'} {what}\n")
     if then:
         sys.stderr.write(f"next: {shlex.join(['dsrc', *map(str, then)])}\n")
 

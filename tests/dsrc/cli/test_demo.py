@@ -23,4 +23,5 @@ def test_the_demo_leaves_everything_it_names(tmp_path: Path, capsys: pytest.Capt
 def test_the_lesson_is_what_happened() -> None:
     assert "waits" in lesson({ALONE: "crashed", TOGETHER: "arrived"})
     assert "not decide" in lesson({ALONE: "arrived", TOGETHER: "arrived"})
+    assert "without --quick" in lesson({ALONE: "desynchronised", TOGETHER: "desynchronised"})
     assert lesson({ALONE: "arrived", TOGETHER: "crashed"}) == "Alone: arrived; with helpers: crashed."
