@@ -26,7 +26,8 @@ import numpy as np
 import torch
 import tyro
 from rich.console import Console
-from rich.table import Table
+
+from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -200,13 +201,13 @@ def main(quick: bool = False, engine: str = "fused", scenario: str = "lta_truck"
     detector.loop.close()
     percept_s = detector.shares()["perceive"] * seeing.cpu_s / max(seeing.steps, 1)
     episodes = modelled_episodes(scenario, percept_s, 3 if quick else 20, 1.0 if quick else 10.0, engine)
-    console, table = Console(highlight=False), Table(title="closed loop, one thread")
-    for heading in ("variant", "steps", "steps per CPU s", "steps per s", *STAGES):
-        table.add_column(heading, justify="left" if heading == "variant" else "right")
+    rows = []
     for run, own in ((runs[0], truth), (runs[1], None), (seeing, detector)):
         shares = [f"{100 * share:.0f} %" for share in own.shares().values()] if own else [""] * len(STAGES)
-        table.add_row(run.name, str(run.steps), f"{run.per_cpu_s:.1f}", f"{run.per_wall_s:.1f}", *shares)
-    console.print(table)
+        rows.append((run.name, run.steps, f"{run.per_cpu_s:.1f}", f"{run.per_wall_s:.1f}", *shares))
+    console = Console(highlight=False)
+    head = ("variant", "steps", "steps per CPU s", "steps per s", *STAGES)
+    console.print(Table.of(head, rows, title="closed loop, one thread"))
     agents = len(detector.loop.perception.senses.agents)  # type: ignore[attr-defined]
     console.print(
         f"real time is {REAL_TIME:g} steps a second; truth with {np.median(truth.actors):.0f} vehicles, detector in "

@@ -25,7 +25,8 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
+
+from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -171,23 +172,15 @@ def goal_of(name: str) -> float | None:
 
 def show(console: Console, timings: dict[str, Timing], memory: dict[str, float], points: int) -> None:
     """Print the table."""
-    table = Table(title=f"One sweep of {points} points on one core", title_justify="left")
-    for number, column in enumerate(("what", "s", "CPU s", "MB", "replaces", "its s", "times faster", "goal")):
-        table.add_column(column, justify="left" if number in (0, 4) else "right")
+    rows = []
     for name, timing in timings.items():
         reference, goal = reference_of(name), goal_of(name)
         missed = "" if goal is None or timing.wall_s <= goal else " missed"
-        table.add_row(
-            name,
-            f"{timing.wall_s:.4f}",
-            f"{timing.cpu_s:.4f}",
-            f"{memory[name]:.0f}",
-            "" if reference is None else reference[0],
-            "" if reference is None else f"{reference[1]:g}",
-            "" if reference is None else f"{reference[1] / timing.wall_s:.3g}",
-            "" if goal is None else f"<= {goal:g}{missed}",
-        )
-    console.print(table)
+        peer = ("", "", "") if reference is None else (*reference, f"{reference[1] / timing.wall_s:.3g}")
+        own = f"{timing.wall_s:.4f}", f"{timing.cpu_s:.4f}", f"{memory[name]:.0f}"
+        rows.append((name, peer[0], *own, *peer[1:], "" if goal is None else f"<= {goal:g}{missed}"))
+    head = ("what", "replaces", "s", "CPU s", "MB", "its s", "times faster", "goal")
+    console.print(Table.of(head, rows, 2, title=f"One sweep of {points} points on one core"))
 
 
 def main(quick: bool = False, severity: int = 3) -> None:

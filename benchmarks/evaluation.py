@@ -18,8 +18,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 from shapely.geometry import Polygon
+
+from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -148,14 +149,14 @@ def main(quick: bool = False) -> None:
     loop, loop_s, loop_cpu_s = timed(lambda: shapely_metrics(asked))
     difference = max(abs(ours[name] - loop[name]) for name in ours)
     pairs = sum(len(f.detections) * len(f.truth) for f in frames)
-    table = Table(title="AP in bird's-eye view and 3D, at 0.3, 0.5, 0.7, in both orders")
-    for column in ("what", "frames", "s", "CPU s"):
-        table.add_column(column, justify="left" if column == "what" else "right")
-    table.add_row("ours", str(len(frames)), f"{all_s:.2f}", f"{all_cpu_s:.2f}")
-    table.add_row("ours", str(len(asked)), f"{ours_s:.3f}", f"{ours_cpu_s:.3f}")
-    table.add_row("shapely loop", str(len(asked)), f"{loop_s:.1f}", f"{loop_cpu_s:.1f}")
+    rows = (
+        ("ours", len(frames), f"{all_s:.2f}", f"{all_cpu_s:.2f}"),
+        ("ours", len(asked), f"{ours_s:.3f}", f"{ours_cpu_s:.3f}"),
+        ("shapely loop", len(asked), f"{loop_s:.1f}", f"{loop_cpu_s:.1f}"),
+    )
     console = Console(width=100, highlight=False)
-    console.print(table)
+    title = "AP in bird's-eye view and 3D, at 0.3, 0.5, 0.7, in both orders"
+    console.print(Table.of(("what", "frames", "s", "CPU s"), rows, title=title))
     console.print(
         f"Of CPU time {loop_cpu_s / ours_cpu_s:.0f} times faster; the APs differ by {difference:.1e} at most."
     )

@@ -27,6 +27,7 @@ from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, SimulatedDrive, open_simulated
 from dsrc.data.write import DriveSpec
 from dsrc.runs.executors import ProcessExecutor, Progress
+from dsrc.tables.table import Table
 from sensors.presets import register_sensor
 from sim.catalog.load import load_scenario
 from sim.scenario import Scenario
@@ -184,10 +185,10 @@ def main(quick: bool = False, out: Path | None = None) -> None:
         counts = [1, 2] if quick else [count for count in (1, 2, 4, 8) if count <= max(2, os.cpu_count() or 1)]
         rates = {count: rate_of(folder, recorded, count, frames) for count in counts}
     total = sum(parts.values())
-    for stage, spent in parts.items():
-        sys.stdout.write(f"{stage:12s} {spent:8.1f} ms of CPU per frame {spent / total:7.1%}\n")
-    for count, (rate, cpu_ms) in rates.items():
-        sys.stdout.write(f"{count} workers    {rate:8.2f} frames/s {cpu_ms:8.1f} ms of CPU per frame\n")
+    stages_of = ((stage, f"{spent:.1f}", f"{spent / total:.1%}") for stage, spent in parts.items())
+    print(Table.of(("stage", "CPU ms per frame", "share"), stages_of))
+    rated = ((count, f"{rate:.2f}", f"{cpu_ms:.1f}") for count, (rate, cpu_ms) in rates.items())
+    print(Table.of(("workers", "frames per s", "CPU ms per frame"), rated))
     figures = {
         "agents": AGENTS,
         "vehicles": VEHICLES,

@@ -25,8 +25,9 @@ import tyro
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 from torch.utils.flop_counter import FlopCounterMode
+
+from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -211,9 +212,7 @@ def matrix_rate(device: str, size: int = 2048, calls: int = 4) -> float:
 
 
 def show(console: Console, bench: Bench, rate: float) -> None:
-    table = Table(title=f"ms per frame on {bench.device}; floor at {rate:.0f} GFLOP/s; shares with two agents")
-    for column in ("method", *(f"{n} agents" for n in AGENTS), "floor of 2", *STAGES):
-        table.add_column(column, justify="left" if column == "method" else "right")
+    rows = []
     for method in FUSIONS:
         cells = [
             f"{1000 * sum(bench.seconds(method, n).values()):.0f}" if (method, n) in bench.plan else "" for n in AGENTS
@@ -223,8 +222,10 @@ def show(console: Console, bench: Bench, rate: float) -> None:
             parts = bench.seconds(method, 2)
             total = sum(parts.values())
             shares = [f"{1000 * bench.floor(method, 2, rate):.0f}", *(f"{parts[s] / total:.0%}" for s in STAGES)]
-        table.add_row(method, *cells, *shares)
-    console.print(table)
+        rows.append((method, *cells, *shares))
+    head = ("method", *(f"{n} agents" for n in AGENTS), "floor of 2", *STAGES)
+    title = f"ms per frame on {bench.device}; floor at {rate:.0f} GFLOP/s; shares with two agents"
+    console.print(Table.of(head, rows, title=title))
 
 
 def figures(bench: Bench, rate: float) -> dict[str, object]:

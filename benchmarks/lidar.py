@@ -22,7 +22,8 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
+
+from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -230,47 +231,38 @@ def show_contents(console: Console, distances: list[NDArray[np.float32]], sweeps
 def show(console: Console, timings: dict[str, Timing], figures: dict[str, float | None], agents: int) -> None:
     """Print the tables."""
     bare = timings["bare"]
-    table = _table(
-        f"One sweep of 64 x 1800 rays, {agents} agents among 60 vehicles", "what", "ms", "of R", "goal", "CPU of R"
-    )
+    rows: list[tuple[str, ...]] = []
     for name, label in _SWEEPS.items():
         if name in timings:
             timing, goal = timings[name], GOALS.get(f"ratio_{name}")
             share, cpu = timing.wall_s / bare.wall_s, timing.cpu_s / bare.cpu_s
             ms = 1e3 * timing.wall_s / agents
-            table.add_row(label, f"{ms:.2f}", f"{share:.3f}", f"<= {goal}" if goal else "", f"{cpu:.3f}")
+            rows.append((label, f"{ms:.2f}", f"{share:.3f}", f"<= {goal}" if goal else "", f"{cpu:.3f}"))
         else:
-            table.add_row(label, "not installed" if name in ("open3d", "mujoco") else "not measured", "", "", "")
-    console.print(table)
-    table = _table("Figures", "what", "measured", "goal")
+            rows.append((label, "not installed" if name in ("open3d", "mujoco") else "not measured", "", "", ""))
+    title = f"One sweep of 64 x 1800 rays, {agents} agents among 60 vehicles"
+    console.print(Table.of(("what", "ms", "of R", "goal", "CPU of R"), rows, title=title))
+    rows = []
     for key, label in _FIGURES.items():
         value, goal = figures[key], GOALS.get(key)
         sign = ">=" if key == "realtime_factor" else "<="
-        table.add_row(label, "-" if value is None else f"{value:.3g}", f"{sign} {goal}" if goal else "")
-    console.print(table)
+        rows.append((label, "-" if value is None else f"{value:.3g}", f"{sign} {goal}" if goal else ""))
+    console.print(Table.of(("what", "measured", "goal"), rows, title="Figures"))
     if stages := stage_ms(timings, agents):
-        table = _table("Where a sweep of the fused engine goes, 1 thread", "stage", "ms", "share")
-        for name, value in stages.items():
-            table.add_row(_STAGES[name], f"{value:.2f}", f"{100.0 * value / sum(stages.values()):.0f} %")
-        console.print(table)
+        total = sum(stages.values())
+        rows = [(_STAGES[name], f"{ms:.2f}", f"{100.0 * ms / total:.0f} %") for name, ms in stages.items()]
+        title = "Where a sweep of the fused engine goes, 1 thread"
+        console.print(Table.of(("stage", "ms", "share"), rows, title=title))
     if (load := _load(timings)) > _LOADED:
         console.print(f"Others kept {load:.1f} cores busy meanwhile: a quiet machine is faster on several threads.")
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    for number, column in enumerate(columns):
-        table.add_column(column, justify="right" if number else "left")
-    return table
 
 
 def show_city(console: Console) -> None:
     """Measure the city and print what it took."""
     measured = measure_city(CITY_TRIANGLES)
-    table = _table("Five agents through every district of a city", "what", "measured", "goal")
-    for key, value in measured.items():
-        table.add_row(key, f"{value:.4g}", f"<= {GOALS[key]}" if key in GOALS else "")
-    console.print(table)
+    rows = ((key, f"{value:.4g}", f"<= {GOALS[key]}" if key in GOALS else "") for key, value in measured.items())
+    title = "Five agents through every district of a city"
+    console.print(Table.of(("what", "measured", "goal"), rows, title=title))
     print(json.dumps({key: round(value, 4) for key, value in measured.items()} | {"cpu": _cpu_name()}))
 
 

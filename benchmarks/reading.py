@@ -25,7 +25,8 @@ import yaml
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
+
+from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -225,21 +226,19 @@ def show(console: Console, timings: dict[str, Timing]) -> None:
         "frame_opv2v": "our reader, OPV2V's files",
         "plain_text": "plain script, OPV2V's files",
     }
-    table = Table(title=f"One frame of {AGENTS} agents, {POINTS} points each, one thread", title_justify="left")
-    for column in ("what", "ms", "CPU ms", "frames per s"):
-        table.add_column(column, justify="left" if column == "what" else "right")
+    rows: list[tuple[str, ...]] = []
     for name, label in labels.items():
         timing = timings[name]
-        table.add_row(label, f"{1e3 * timing.wall_s:.1f}", f"{1e3 * timing.cpu_s:.1f}", f"{1 / timing.wall_s:.1f}")
-    console.print(table)
-    table = Table(title=f"One batch of {SAMPLES} samples, from the disk on, one thread", title_justify="left")
-    for column in ("what", "ms", "CPU ms"):
-        table.add_column(column, justify="left" if column == "what" else "right")
+        rows.append((label, f"{1e3 * timing.wall_s:.1f}", f"{1e3 * timing.cpu_s:.1f}", f"{1 / timing.wall_s:.1f}"))
+    title = f"One frame of {AGENTS} agents, {POINTS} points each, one thread"
+    console.print(Table.of(("what", "ms", "CPU ms", "frames per s"), rows, title=title))
+    rows = []
     for name, timing in timings.items():
         if name not in labels:
             label = name.replace("batch_", "whole batch, ").removeprefix("stage_").replace("_", " ")
-            table.add_row(label, f"{1e3 * timing.wall_s:.0f}", f"{1e3 * timing.cpu_s:.0f}")
-    console.print(table)
+            rows.append((label, f"{1e3 * timing.wall_s:.0f}", f"{1e3 * timing.cpu_s:.0f}"))
+    title = f"One batch of {SAMPLES} samples, from the disk on, one thread"
+    console.print(Table.of(("what", "ms", "CPU ms"), rows, title=title))
 
 
 def figures_of(timings: dict[str, Timing]) -> dict[str, object]:

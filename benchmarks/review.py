@@ -30,8 +30,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
+
+from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -358,15 +358,10 @@ def main(quick: bool = False) -> None:
         quick: fewer steps and repetitions.
     """
     figures = {**run_figures(quick), **step_figures(quick), **browser_figures(quick)}
-    table = Table(title=f"Review: {AGENTS} agents of {POINTS:,} points, {SHOWN_POINTS:,} shown")
-    for column in ("figure", "what", "measured", "goal"):
-        table.add_column(column, justify="left" if column in ("figure", "what") else "right")
-    for name, what in _WHAT.items():
-        if name not in figures:
-            continue
-        goal = GOALS.get(name)
-        table.add_row(name, what, f"{figures[name]:g}", "" if goal is None else f"<= {goal:g}")
-    Console(width=120, highlight=False).print(table)
+    goals = {name: f"<= {goal:g}" for name, goal in GOALS.items()}
+    rows = ((name, what, figures[name], goals.get(name, "")) for name, what in _WHAT.items() if name in figures)
+    title = f"Review: {AGENTS} agents of {POINTS:,} points, {SHOWN_POINTS:,} shown"
+    print(Table.of(("figure", "what", "measured", "goal"), rows, 2, title=title).text(120))
     print(json.dumps({**figures, "cores": os.cpu_count()}))
 
 

@@ -24,8 +24,9 @@ import torch
 import tyro
 from msgspec.structs import replace
 from rich.console import Console
-from rich.table import Table
 from torch import nn
+
+from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -145,14 +146,13 @@ def figures_of(steps: dict[str, Step], timings: dict[str, Timing]) -> dict[str, 
 
 def show(console: Console, steps: dict[str, Step], timings: dict[str, Timing]) -> None:
     """Print the table."""
-    table = Table(title=f"Training step of {SAMPLES} samples, one thread; share of each part", title_justify="left")
-    for column in ("student", "ms", "CPU ms", *PARTS):
-        table.add_column(column, justify="left" if column == "student" else "right")
+    rows = []
     for name, step in steps.items():
         shares = (f"{share:.0%}" if share else "" for share in step.shares().values())
         timing = timings[name]
-        table.add_row(name.replace("_", " "), f"{1e3 * timing.wall_s:.0f}", f"{1e3 * timing.cpu_s:.0f}", *shares)
-    console.print(table)
+        rows.append((name.replace("_", " "), f"{1e3 * timing.wall_s:.0f}", f"{1e3 * timing.cpu_s:.0f}", *shares))
+    title = f"Training step of {SAMPLES} samples, one thread; share of each part"
+    console.print(Table.of(("student", "ms", "CPU ms", *PARTS), rows, title=title))
 
 
 def main(quick: bool = False, bfloat16: bool = True) -> None:

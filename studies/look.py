@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dsrc.tables.document import replace_block
-from dsrc.tables.table import Column, Table, TableRow
+from dsrc.tables.table import Table
 
 PAGE, PANEL, EMPTY, GRID, FAINT, INK = "#11151B", "#171C24", "#0A0D11", "#2B333F", "#8D99A8", "#E4E9EF"
 COLORS = ("#4FB3FF", "#FFB454", "#5EDC9A", "#FF7B8A", "#C7A0FF", "#F2E96B", "#9FB0C3")
@@ -108,9 +108,7 @@ def save(figure: Figure, path: Path, colors: int | None = None, keep: Sequence[s
 
 def put_table(document: Path | None, name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a Markdown table, or write it between the lines `<!-- begin NAME -->` and `<!-- end ...` of a document."""
-    columns = tuple(Column(title, align="left") for title in head[1:])
-    lines = tuple(TableRow(first, tuple(cells)) for first, *cells in rows)
-    text = Table(name, "", head[0], columns, lines).markdown().rstrip()
+    text = Table.of(head, rows, len(head)).markdown().rstrip()
     if document is None:
         print(text)
         return

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from dsrc.cli import options
-from dsrc.cli.main import run
+from dsrc.cli.main import commands, run
 from dsrc.cli.progress import made, progress
 from dsrc.cli.scenario import NAMED
 from dsrc.options import detection, fields
 from dsrc.options.drives import DriveOptions
-from tests.command_line import FROZEN, RENEW, command_line, commands
+from tests.command_line import FROZEN, RENEW, command_line
 from tests.commands import dsrc
 from tests.paths import ROOT
 
@@ -103,9 +103,9 @@ def test_names_are_listed_as_options_take_them(things: str) -> None:
         "recipes": "small",
         "channels": "its-g5-27",
     }
-    head, *lines = dsrc("list", things).stdout.splitlines()
-    column = head.index(things.removesuffix("s"))
-    assert names[things] in [line[column:].split("  ")[0] for line in lines]
+    lines = dsrc("list", things).stdout.splitlines()
+    column = next(line for line in lines if things.removesuffix("s") in line).index(things.removesuffix("s"))
+    assert names[things] in [line[column:].partition(" ")[0] for line in lines]
 
 
 @pytest.mark.parametrize(
@@ -190,6 +190,8 @@ def test_what_was_made_is_a_path_for_scripts_and_a_line_with_the_next_command(
     _, *words = shlex.split(following.removeprefix("next: "))
     (tmp_path / "my drives").mkdir()
     assert_one_line(dsrc(*words), str(folder))  # the command runs, and says that the folder is empty
+    made(folder, "a drive", new=False)
+    assert capsys.readouterr().err == "already there: a drive\n"
 
 
 def test_an_unknown_scenario_names_the_nearest(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
 """Commands `dsrc list` and `dsrc scenario`: names that options take, scenarios, and new ones from maps."""
 
 import re
+import shutil
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from inspect import getdoc
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,7 @@ from tyro.conf import Positional
 from dsrc.cli.progress import made
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.fields import File, Folder, Scenario, choice
+from dsrc.tables.table import Table
 
 NAMED = ("lidars", "corruptions", "scenarios", "methods", "recipes", "channels")
 
@@ -36,7 +38,7 @@ class ListNames(msgspec.Struct, frozen=True):
 
 
 def print_names(what: str) -> None:
-    """Print the table of what has a name, its columns as wide as their longest cell.
+    """Print the table of what has a name.
 
     Raises:
         SettingsError: nothing of that word has names.
@@ -45,25 +47,20 @@ def print_names(what: str) -> None:
 
     if what not in _TABLES:
         raise SettingsError(complaint("list", "what", "something with names", what, did_you_mean(what, NAMED)))
-    head, rows = _TABLES[what]()
-    cells = [head, *([str(cell) for cell in row] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    for line in cells:
-        padded = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        sys.stdout.write("  ".join(padded).rstrip() + "\n")
+    # A reader that is no terminal gets a line for each.
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 1000
+    sys.stdout.write(f"{_TABLES[what]().text(width)}\n")
 
 
 _SHAPES = re.compile(r",? \(N.*? to \(.*?\)")
 """Shapes of tensors in a docstring."""
-
-Table = tuple[Sequence[str], Iterable[Sequence[object]]]
 
 
 def _lidars() -> Table:
     from sensors.presets import LIDARS
 
     rows = ((name, len(one.elevation_deg), one.columns, one.rate_hz, one.range_max_m) for name, one in LIDARS.items())
-    return ("lidar", "beams", "columns", "Hz", "range m"), rows
+    return Table.of(("lidar", "beams", "columns", "Hz", "range m"), rows)
 
 
 def _corruptions() -> Table:
@@ -74,7 +71,7 @@ def _corruptions() -> Table:
         return ", ".join(family for family in FAMILIES if family == "physical" or one.paper_settings is not None)
 
     rows = ((kind, families(one), _module_line(one.apply or one.in_frame)) for kind, one in CORRUPTIONS.items())
-    return ("corruption", "families", "what it does"), rows
+    return Table.of(("corruption", "families", "what it does"), rows, 3)
 
 
 def _scenarios() -> Table:
@@ -84,7 +81,8 @@ def _scenarios() -> Table:
     known = [load_scenario(name) for name in list_scenarios()]
     rows = [("encounter" if one.conflict else "place", one.name, one.description) for one in known]
     rows.sort(key=lambda row: row[0], reverse=True)  # places first
-    return ("", "scenario", "what it is"), [*rows, *(("data set", *one) for one in list_datasets().items())]
+    rows += [("data set", *one) for one in list_datasets().items()]
+    return Table.of(("", "scenario", "what it is"), rows, 3)
 
 
 def _methods() -> Table:
@@ -96,7 +94,7 @@ def _methods() -> Table:
         said = _SHAPES.sub("", _first_line(FUSIONS[fusion]))
         return name, fusion, "" if METHODS[name].get("sdd") is False else "SDD+PCP+REC", said
 
-    return ("method", "fusion", "designs", "fusion of the agents"), map(row, METHODS)
+    return Table.of(("method", "fusion", "designs", "fusion of the agents"), map(row, METHODS), 4)
 
 
 def _recipes() -> Table:
@@ -105,16 +103,16 @@ def _recipes() -> Table:
     def row(name: str) -> Sequence[object]:
         recipe = RECIPES[name]()
         x0, y0, _, x1, y1, _ = recipe.model.grid.range_m
-        return name, recipe.epochs, recipe.batch_size, f"{x1 - x0:g} x {y1 - y0:g}", _first_line(RECIPES[name])
+        return name, _first_line(RECIPES[name]), recipe.epochs, recipe.batch_size, f"{x1 - x0:g} x {y1 - y0:g}"
 
-    return ("recipe", "epochs", "batch", "area m", "what it is"), map(row, RECIPES)
+    return Table.of(("recipe", "what it is", "epochs", "batch", "area m"), map(row, RECIPES), 2)
 
 
 def _channels() -> Table:
     from sim.radio import PRESETS
 
     rows = ((name, one.medium, one.range_m, one.rate_mbps, one.delay_s) for name, one in PRESETS.items())
-    return ("channel", "medium", "range m", "Mb/s", "delay s"), rows
+    return Table.of(("channel", "medium", "range m", "Mb/s", "delay s"), rows, 2)
 
 
 _TABLES: dict[str, Callable[[], Table]] = {

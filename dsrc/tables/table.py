@@ -3,7 +3,7 @@
 import io
 import math
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
@@ -140,6 +140,21 @@ class Table:
     footnotes: tuple[str, ...] = ()
     grouped: bool = False
 
+    @classmethod
+    def of(
+        cls, head: Sequence[str], rows: Iterable[Sequence[object]], texts: int = 1, *, name: str = "", title: str = ""
+    ) -> Self:
+        """Table of values that are shown as they are.
+
+        Args:
+            head: of all columns, that of the labels first.
+            rows: a value per column, the label first.
+            texts: number of columns on the left that hold texts; numbers are on the right.
+        """
+        columns = tuple(Column(about, align="left" if i < texts else "right") for i, about in enumerate(head) if i)
+        shown = ([f"{value:g}" if isinstance(value, float) else str(value) for value in row] for row in rows)
+        return cls(name, title, head[0], columns, tuple(TableRow(label, tuple(cells)) for label, *cells in shown))
+
     def markdown(self) -> str:
         """Markdown: title, table with the best of each column in bold, footnotes and note."""
         rules = ["---", *("---" if column.align == "left" else "---:" for column in self.columns)]
@@ -169,13 +184,15 @@ class Table:
         """CSV of the records."""
         return csv_text(self.records(), [self.head, *(name for column in self.columns for name in column.names)])
 
-    def __str__(self) -> str:
-        """Text for a terminal of 80 columns."""
+    def text(self, width: int = 80) -> str:
+        """Text for a terminal of so many columns."""
         from rich.console import Console
 
-        console = Console(width=80, file=io.StringIO(), color_system=None, highlight=False)
-        console.print(self)
-        return str(console.file.getvalue()).rstrip()  # type: ignore[attr-defined]
+        file = io.StringIO()
+        Console(width=width, file=file, color_system=None, highlight=False).print(self)
+        return "\n".join(line.rstrip() for line in file.getvalue().splitlines()).strip("\n")
+
+    __str__ = text
 
     def __rich_console__(self, console: "Console", options: "ConsoleOptions") -> "Iterator[RenderableType]":
         """Yield title, blocks, footnotes and caption; statistics without spreads, one below the other."""

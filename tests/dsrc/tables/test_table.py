@@ -87,3 +87,9 @@ def test_nothing_of_a_table_is_lost_at_80_columns(columns: int) -> None:
             assert {f"{c + 10 * i:.1f}", f"{c + 0.5:.1f}"} <= set(words)
     assert "[plain]" in text and "twentieth" in text
     assert "averyveryverylongnamewithoutanyspace" in "".join(line.split(" ")[0] for line in text.splitlines())
+
+
+def test_values_are_a_table_as_they_are() -> None:
+    table = Table.of(("LiDAR", "maker", "beams", "Hz"), [("vlp-16", "Velodyne", 16, 10.0), ("os1", "", 64, 12.5)], 2)
+    assert table.markdown().splitlines()[1:3] == ["| --- | --- | ---: | ---: |", "| vlp-16 | Velodyne | 16 | 10 |"]
+    assert table.text(1000).splitlines()[2:] == ["vlp-16 Velodyne    16   10", "os1                64 12.5"]
