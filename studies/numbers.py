@@ -52,12 +52,46 @@ def quoting(text: str, found: Mapping[str, str]) -> str:
 
 def numbers() -> dict[str, str]:
     """Return every number by its name, as pages quote it."""
-    return dict([*_differences(), *_thresholds(), *_average_precision(), *_demo(), *_driving(), *_anticipation()])
+    return dict(
+        [
+            *_counts(),
+            *_differences(),
+            *_thresholds(),
+            *_average_precision(),
+            *_demo(),
+            *_driving(),
+            *_anticipation(),
+            *_real(),
+        ]
+    )
 
 
 def _rows(file: Path) -> list[dict[str, str]]:
     lines = file.read_text(encoding="utf-8").splitlines()
     return list(csv.DictReader(line for line in lines if not line.startswith("#")))  # of the provenance
+
+
+def _counts() -> Iterator[tuple[str, str]]:
+    """Yield how many drives, places, frames, trainings and seeds the other numbers are of."""
+    results = REPORT / "dsrc-sim-twins/results.csv"
+    made_by = json.loads(results.read_text(encoding="utf-8").partition("\n")[0].lstrip("# "))
+    drives = made_by["settings"]["datasets"]["dsrc-sim"]
+    twins = _rows(results)
+    yield "test_drives", str(len(drives))
+    yield "test_places", str(len({drive.rpartition("_")[0] for drive in drives}))
+    yield "frames_twins", _only({row["frames"] for row in twins})
+    yield "frames_small", _only({row["frames"] for row in _rows(REPORT / "dsrc-sim-small/results.csv")})
+    yield "trainings", str(len({row["training"] for row in twins}))
+    main = _episodes("campaign")
+    yield "encounters", str(len({one.scenario for one in main}))
+    yield "seeds_clean", str(len({one.seed for one in _of(main, ALONE, corrupted=False)}))
+    yield "seeds_corrupted", str(len({one.seed for one in _of(main, ALONE, corrupted=True)}))
+    yield "episodes_clean", _only({str(len(_of(main, eyes, corrupted=False))) for eyes in (ALONE, TEAM)})
+
+
+def _only(values: set[str]) -> str:
+    (value,) = values
+    return value
 
 
 def _differences() -> Iterator[tuple[str, str]]:
@@ -197,6 +231,14 @@ def _anticipation() -> Iterator[tuple[str, str]]:
         yield f"{name}_s", f"{row['duration_s']} s"
     slower = (float(rows[f"{eyes} sight", "anticipating"]["duration_s"]) for eyes in ("own", "team"))
     yield "price_of_care", f"{-next(slower) + next(slower):.1f} s".lstrip("-")
+
+
+def _real() -> Iterator[tuple[str, str]]:
+    """Yield what a shipped detector finds in real frames and in simulated ones."""
+    real, ours, _ = _rows(ROOT / "studies/shipped/real_frames.csv")
+    yield "real_frames", real["frames"]
+    yield "real_recall", f"{real['recall_percent']} %"
+    yield "simulated_recall", f"{ours['recall_percent']} %"
 
 
 if __name__ == "__main__":
