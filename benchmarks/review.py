@@ -49,8 +49,7 @@ from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import free_port, start_server
 from dsrc.review.palette import AGENT_COLORS
-from dsrc.review.sources.base import MemorySet, Setup
-from dsrc.review.sources.drives import DriveSource
+from dsrc.review.sources.base import DriveSource, MemorySet, Setup
 from dsrc.review.state import ReviewState
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import STATIC, Sweep, make_sweep

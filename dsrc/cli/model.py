@@ -119,7 +119,7 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
         """Write the detector file, print its properties and its path."""
         from dsrc.models.storage.checkpoint import save_detector
         from dsrc.models.storage.import_dsrc import import_detector
-        from dsrc.models.storage.import_opencood import Origin, import_opencood
+        from dsrc.models.storage.import_opencood import PublishedTraining, import_opencood
         from dsrc.models.storage.published import described
         from sim.files import check_output
 
@@ -129,7 +129,7 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
             detector = import_detector(Path(self.file), self._grid(), self.teacher, left_handed=not self.right_handed)
         else:
             self._check_unused("teacher")
-            origin = Origin(
+            origin = PublishedTraining(
                 method=self.method,
                 range_m=self.range_m,
                 cell_m=self.cell_m,

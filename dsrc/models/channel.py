@@ -35,8 +35,6 @@ class Receiver:
     """Receiver of an ego over a drive.
 
     Args:
-        seed: seed of the drive's channel.
-        interval_s: time between frames, s.
         settings: settings of the detector, which decide the messages, see `payload_of`.
         joined: settings of detectors joined to it, whose maps or objects travel in the same messages.
     """
@@ -63,7 +61,6 @@ class Receiver:
         Args:
             frames: the current frame and those before it, newest first.
             position: position of the current frame in the drive.
-            sample: sample of an ideal channel.
             grid: range that the sample was cropped to.
         """
         ego, others = sample.agent_ids[0], sample.agent_ids[1:]

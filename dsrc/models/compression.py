@@ -31,11 +31,7 @@ def tiles_sent(settings: ModelSettings) -> int:
 
 
 def message_bytes(settings: ModelSettings, values: int, channels: int) -> int:
-    """Return the size of an agent's message, bytes.
-
-    Args:
-        values: numbers in its whole maps.
-    """
+    """Return the size of an agent's message, bytes."""
     rows, columns = tiles(settings)
     sent = values * settings.bits / 8 / settings.compress * tiles_sent(settings) / (rows * columns)
     which = rows * columns / 8 if settings.share < 1 else 0
@@ -51,7 +47,7 @@ def reduced(maps: Sequence[Tensor], confidence: Tensor | None, settings: ModelSe
         confidence: (N, h, w) of their own detections, any size that tiles divide; None when all tiles are sent.
     """
     # A cell that is not sent stays empty: 0 is none of the steps of 8 bits where numbers are of both signs.
-    coarse = [rounded(part, settings.bits) * (part != 0).any(1, keepdim=True) for part in maps]
+    coarse = [quantised(part, settings.bits) * (part != 0).any(1, keepdim=True) for part in maps]
     if confidence is None:
         return coarse
     chosen = best_tiles(confidence, tiles(settings), tiles_sent(settings))
@@ -65,7 +61,7 @@ def best_tiles(confidence: Tensor, shape: tuple[int, int], count: int) -> Tensor
     return chosen.scatter_(1, best.topk(count, dim=1, sorted=False).indices, True).view(-1, *shape)
 
 
-def rounded(x: Tensor, bits: int) -> Tensor:
+def quantised(x: Tensor, bits: int) -> Tensor:
     """Round (N, C, H, W) to 32, 16 or 8 bits, 8 of them linear between each channel's extremes."""
     if bits == 32:
         return x

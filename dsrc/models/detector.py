@@ -33,7 +33,7 @@ from sim.boxes import VEHICLES, VULNERABLE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Output:
+class NetworkOutput:
     """Output of a detector, middle layers for the distillation included.
 
     Attributes:
@@ -51,11 +51,11 @@ class Output:
     reg: Tensor
     direction: Tensor | None = None
 
-    def float(self) -> "Output":
+    def float(self) -> "NetworkOutput":
         """Convert to single precision."""
         stages = self.stages[0].float(), self.stages[1].float(), self.stages[2].float()
         direction = None if self.direction is None else self.direction.float()
-        return Output(stages, self.fused.float(), self.cls.float(), self.reg.float(), direction)
+        return NetworkOutput(stages, self.fused.float(), self.cls.float(), self.reg.float(), direction)
 
 
 class Detector(nn.Module):
@@ -97,7 +97,7 @@ class Detector(nn.Module):
         # Measured on CPUs: 30 % faster.
         self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, pillars: Pillars, layout: AgentLayout) -> Output:
+    def forward(self, pillars: Pillars, layout: AgentLayout) -> NetworkOutput:
         """Detect in B samples.
 
         Args:
@@ -109,7 +109,7 @@ class Detector(nn.Module):
         with torch.autocast(pillars.points.device.type, self.precision):
             return self._forward(pillars, layout).float()
 
-    def _forward(self, pillars: Pillars, layout: AgentLayout) -> Output:
+    def _forward(self, pillars: Pillars, layout: AgentLayout) -> NetworkOutput:
         stages = self.backbone(self.encoder(pillars))
         return self.heads(stages, self.fuse(self.maps(stages), layout))
 
@@ -147,11 +147,11 @@ class Detector(nn.Module):
         rows = torch.tensor(others, device=sent[0].device)
         return [part.index_copy(0, rows, small.to(part.dtype)) for part, small in zip(sent, few, strict=True)]
 
-    def heads(self, stages: tuple[Tensor, Tensor, Tensor], maps: Sequence[Tensor]) -> Output:
+    def heads(self, stages: tuple[Tensor, Tensor, Tensor], maps: Sequence[Tensor]) -> NetworkOutput:
         """Return the output for fused maps."""
         fused = self.shrink(self.decoder(maps)) if self.by_stage else self.widen(maps[0])
         direction = None if self.direction_head is None else self.direction_head(fused)
-        return Output(stages, fused, self.cls_head(fused), self.reg_head(fused), direction)
+        return NetworkOutput(stages, fused, self.cls_head(fused), self.reg_head(fused), direction)
 
     def logits(self, stages: Sequence[Tensor]) -> Tensor:
         """Return the (N, 2, h, w) classification logits of each agent alone, before fusion."""
@@ -168,7 +168,7 @@ class Detector(nn.Module):
         """Classes of what is detected."""
         return VEHICLES if self.settings.users == "vehicles" else VULNERABLE
 
-    def decode(self, output: Output) -> list[Detections]:
+    def decode(self, output: NetworkOutput) -> list[Detections]:
         """Decode the heads' maps into detections in the range that counts, one `Detections` per row of the batch.
 
         Boxes are right-handed, whatever frame the network was trained in.
@@ -213,7 +213,6 @@ class Detector(nn.Module):
         return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
 
     def _single_agent_detections(self, sample: Sample) -> list[Detections]:
-        """Detect in each agent's cloud alone."""
         count = 1 if self.settings.fusion == "none" else self.settings.max_agents
         clouds = as_trained(sample, self.settings).clouds[:count]
         pillars = pillars_of(clouds, self.settings).to(self.cls_head.weight.device)
@@ -225,7 +224,6 @@ def detect(detector: Detector, frame: Frame, ego_id: int | None = None, *, coope
 
     Args:
         detector: its settings give range and number of agents.
-        frame: one instant of all agents.
         ego_id: the ego; None for the first vehicle.
         cooperative: with the clouds of the agents in communication range; else the ego's alone.
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 
 import torch
 from msgspec.structs import replace as changed
@@ -44,17 +43,13 @@ def check_fusion(fusion: type[Fusion], settings: ModelSettings = SMALL) -> None:
     Raises:
         SettingsError: one line per failure.
     """
-    failures = _Check(fusion, settings).failures() if _is_fusion(fusion) else [_NO_FUSION]
+    if isinstance(fusion, type) and issubclass(fusion, Fusion):
+        failures = _Check(fusion, settings).failures()
+    else:
+        failures = ["class: expected a subclass of dsrc.models.fusion.Fusion"]
     if failures:
         name = getattr(fusion, "__name__", repr(fusion))
         raise SettingsError("\n".join(f"{name}: {line}" for line in failures))
-
-
-_NO_FUSION = "class: expected a subclass of dsrc.models.fusion.Fusion"
-
-
-def _is_fusion(fusion: object) -> bool:
-    return isinstance(fusion, type) and issubclass(fusion, Fusion)
 
 
 class _Failure(Exception):
@@ -151,15 +146,15 @@ class _Check:
     def _shapes(self) -> None:
         found = self._fused(self.maps, AgentLayout(_AGENTS))
         wanted = [(len(_AGENTS), *part.shape[1:]) for part in self.maps]
-        _expect([tuple(part.shape) for part in found] == wanted, f"expected {wanted}, found {_shapes_of(found)}")
-        _expect(all(bool(part.isfinite().all()) for part in found), "expected finite numbers")
+        _expect(_shapes_of(found) == wanted, f"expected {wanted}, found {_shapes_of(found)}")
+        _finite(found)
         _expect(all(part.dtype == self.maps[0].dtype for part in found), "expected the dtype of the maps")
 
     def _alone(self) -> None:
         alone = [part[:1] for part in self.maps]
         found = self._fused(alone, AgentLayout((1,)))
         _expect(_shapes_of(found) == _shapes_of(alone), f"expected {_shapes_of(alone)}, found {_shapes_of(found)}")
-        _expect(all(bool(part.isfinite().all()) for part in found), "expected finite numbers")
+        _finite(found)
 
     def _inputs(self) -> None:
         before = [part.clone() for part in self.maps]
@@ -189,9 +184,7 @@ class _Check:
         tiles[1:3] = tiles[4:] = True
         layout = AgentLayout(_AGENTS, lost=tiles)
         found = self._fused(self.maps, layout)
-        _expect(
-            all(bool(part.isfinite().all()) for part in found), "expected finite numbers without any collaborator's map"
-        )
+        _finite(found, " without any collaborator's map")
         rows = torch.tensor([0, 3])
         other = [part.roll(1, 0).index_copy(0, rows, part[rows]) for part in self.maps]
         _each_same(found, self._fused(other, layout), "reads maps of collaborators that were lost")
@@ -200,11 +193,10 @@ class _Check:
         still = self._fused(self.maps, AgentLayout(_AGENTS))
         _each_same(self._at(0.0), still, "equal poses give another result than maps in the ego's frame", 1e-3)
         far = self._at(_FAR_M)
-        _expect(all(bool(part.isfinite().all()) for part in far), f"expected finite numbers at {_FAR_M:.0f} m")
+        _finite(far, f" at {_FAR_M:.0f} m")
         alone = self._fused([part[[0, 3]] for part in self.maps], AgentLayout((1, 1)))
-        if any(not torch.allclose(a, b, atol=1e-4) for a, b in zip(alone, still, strict=True)):
-            near = self._at(4.0)
-            moved = any(not torch.allclose(a, b, atol=1e-4) for a, b in zip(near, still, strict=True))
+        if _differ(alone, still):
+            moved = _differ(self._at(4.0), still)
             _expect(moved, "the collaborators' poses (`layout.pairwise`) have no effect; see `fusion.warp.into_ego`")
 
     def _at(self, ahead_m: float) -> list[Tensor]:
@@ -218,9 +210,8 @@ class _Check:
     def _gradients(self) -> None:
         fusion = self.detector.fusion.train()
         maps = [part.clone().requires_grad_() for part in self.maps]
-        layout = AgentLayout(_AGENTS)
-        layout = replace(layout, roadside=torch.tensor([False, True, False, True, False]))
-        layout = replace(layout, delay=torch.tensor([0, 1, 2, 0, 1]))
+        roadside, delay = torch.tensor([False, True, False, True, False]), torch.tensor([0, 1, 2, 0, 1])
+        layout = AgentLayout(_AGENTS, roadside=roadside, delay=delay)
         sum(part.square().mean() for part in self.detector.fuse(maps, layout)).backward()  # type: ignore[union-attr]
         without = [name for name, weight in fusion.named_parameters() if weight.grad is None]
         _expect(not without, f"no gradient for {', '.join(without)}")
@@ -231,7 +222,6 @@ class _Check:
 
 @contextmanager
 def _registered(fusion: type[Fusion]) -> Iterator[str]:
-    """Register a class for the time of its check."""
     name = f"check of {fusion.__name__}"
     register_fusion(name, fusion)
     try:
@@ -243,6 +233,14 @@ def _registered(fusion: type[Fusion]) -> Iterator[str]:
 def _expect(holds: bool, line: str) -> None:
     if not holds:
         raise _Failure(line)
+
+
+def _finite(maps: Sequence[Tensor], where: str = "") -> None:
+    _expect(all(bool(part.isfinite().all()) for part in maps), f"expected finite numbers{where}")
+
+
+def _differ(some: Sequence[Tensor], others: Sequence[Tensor]) -> bool:
+    return any(not torch.allclose(a, b, atol=1e-4) for a, b in zip(some, others, strict=True))
 
 
 def _shapes_of(maps: Sequence[Tensor]) -> list[tuple[int, ...]]:

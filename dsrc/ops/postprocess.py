@@ -46,7 +46,7 @@ def decode_detections(
         label: (2,) classes of boxes by anchor; None for cars.
     """
     boxes, scores = candidates(cls_logits, regression, anchors, settings.score_threshold, label)
-    return select(boxes, scores, settings)
+    return suppressed(boxes, scores, settings)
 
 
 def candidates(
@@ -72,7 +72,7 @@ def candidates(
     return Boxes.from_array(boxes[finite], labels), scores[row, column, anchor][finite]
 
 
-def select(boxes: Boxes, scores: NDArray[np.float32], settings: PostSettings) -> Detections:
+def suppressed(boxes: Boxes, scores: NDArray[np.float32], settings: PostSettings) -> Detections:
     """Filter and suppress candidates of one frame, from one agent or, for late fusion, from several."""
     keep = _plausible(boxes, settings)
     boxes, scores = boxes[keep], np.asarray(scores, np.float32)[keep]

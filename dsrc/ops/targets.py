@@ -73,7 +73,6 @@ def _assign(
     positive_iou: float | NDArray[np.float64],
     fits: NDArray[np.bool_],
 ) -> NDArray[np.int32]:
-    """Return `owner` by true overlap."""
     best = np.zeros(anchors.shape[:3])
     owner = np.full(anchors.shape[:3], -1, np.int32)
     overlaps = []
@@ -91,7 +90,6 @@ def _assign(
 
 
 def _assign_legacy(boxes: NDArray[np.float64], anchors: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return `owner` by the released code's rules."""
     owner = np.full(anchors.shape[:3], -1, np.int32)
     overlaps = [_overlap(_hull(box), anchors, 1.0) for box in boxes]
     for row, (window, iou) in enumerate(overlaps):

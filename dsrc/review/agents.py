@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from dsrc.data.sample import COMM_RANGE_M
 from dsrc.evaluation.sharing.stored import SharedFrame
-from dsrc.review.labs.lost import lost_rows
 from dsrc.review.palette import FATE_NAMES, agent_color
-from dsrc.review.points import point_colors, subsample
+from dsrc.review.points import lost_rows, point_colors, subsample
 from dsrc.review.state import ReviewState
 from dsrc.review.view import AgentShare, AgentView, DetectionDetails, HelpView, ObjectDetails
 from sensors.frame import Frame
@@ -36,7 +35,6 @@ def agent_view(
 
     Args:
         row: of the agent in the frame.
-        review_from_world: (4, 4).
         recorded: the frame before the corruption, to show what that removed; left out: nothing is.
     """
     agent = frame.agents[row]
@@ -89,7 +87,6 @@ def help_view(shared: SharedFrame, agent_ids: Sequence[int], review_from_lidar: 
     """Boxes of a frame by the agent to whom most of their score is due.
 
     Args:
-        shared: shares in the frame.
         agent_ids: agents of the frame, in its order.
         review_from_lidar: (4, 4) of the ego's LiDAR.
     """
@@ -115,7 +112,6 @@ def with_shares(
     """Details of an object or a detection with the agents' shares in it, where these are known.
 
     Args:
-        shared: shares in the frame.
         titles: displayed names by agent, in the order of the frame.
         place: (3,) centre of a detection in the ego LiDAR's frame, m; None for an object.
     """

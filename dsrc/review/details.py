@@ -20,8 +20,6 @@ def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Seq
     """Return the details of an object; None when the frame lacks it.
 
     Args:
-        frame: the frame, its sweeps corrupted or not.
-        object_id: the object, or None.
         titles: names of the agents, in the order of the frame.
     """
     found = np.flatnonzero(frame.truth.object_id == object_id)
@@ -29,7 +27,11 @@ def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Seq
         return None
     row = int(found[0])
     yaw = frame.truth.yaw[row]
-    left = _points_left(frame, frame.truth[found[:1]])
+    # By the object ids of the sweeps, or in the object's box where these are unknown.
+    if any((agent.sweep.object_id >= 0).any() for agent in frame.agents):
+        left = [int(np.count_nonzero(agent.sweep.object_id == object_id)) for agent in frame.agents]
+    else:
+        left = _points_in(frame, frame.truth[found[:1]])
     return ObjectDetails(
         object_id=int(frame.truth.object_id[row]),
         class_name=CLASSES[frame.truth.label[row]],
@@ -54,7 +56,6 @@ def verdict_on(object_id: int, truth: Boxes, matches: RankedMatches, threshold: 
 
     Args:
         truth: the M evaluated objects, in the order of the matches.
-        threshold: least score of a detection.
     """
     rows = np.flatnonzero(truth.object_id == object_id)
     if len(rows) == 0:
@@ -79,7 +80,6 @@ def detection_details(
     """Details of a detection.
 
     Args:
-        frame: the frame, its sweeps corrupted or not.
         rank: place of the detection in the order of the scores.
         detections: of the frame, in the ego LiDAR's frame.
         titles: names of the agents, in the order of the frame.
@@ -117,10 +117,3 @@ def _points_in(frame: Frame, box: Boxes) -> list[int]:
         inside, _ = points_in_boxes(box.transform(invert(agent.sweep.world_from_lidar)), agent.sweep.points)
         counts.append(len(inside))
     return counts
-
-
-def _points_left(frame: Frame, box: Boxes) -> list[int]:
-    """Points of each agent on one object, by the object ids of the sweeps, or in its box where these are unknown."""
-    if not any((agent.sweep.object_id >= 0).any() for agent in frame.agents):
-        return _points_in(frame, box)
-    return [int(np.count_nonzero(agent.sweep.object_id == box.object_id[0])) for agent in frame.agents]

@@ -3,18 +3,17 @@
 import contextlib
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Generic, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
-from dsrc.review.sources.base import Setup, Source
+from dsrc.review.sources.base import DriveSource, Setup, Source
 from dsrc.review.sources.detected import corrupted_frame
-from dsrc.review.sources.drives import DriveSource
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
-from dsrc.review.sources.shares import SharedSource
+from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
 from sensors.corruptions import CLEAN, CORRUPTIONS, Condition
@@ -37,15 +36,18 @@ class LatestUsed(Generic[T]):
         self._values: OrderedDict[Hashable, T] = OrderedDict()
         self._lock = threading.Lock()
 
-    def __contains__(self, key: Hashable) -> bool:
-        return key in self._values
-
-    def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return the value of a key, made when missing."""
+    def find(self, key: Hashable) -> T | None:
+        """Return the value of a key; None where it is missing."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)
-                return self._values[key]
+            return self._values.get(key)
+
+    def get(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return the value of a key, made when missing."""
+        found = self.find(key)
+        if found is not None:
+            return found
         made = make()
         with self._lock:
             self._values[key] = made
@@ -181,20 +183,17 @@ class Recordings:
         """Whether it is known who helped in a source."""
         return isinstance(self.sources[drive], SharedSource)
 
-    def _few_frames(self, drive: int) -> Iterator[Frame]:
-        """First, middle and last frame, those that can be read."""
-        first, last = self.first_row(drive), self.frame_count(drive) - 1
-        for row in sorted({first, (first + last + 1) // 2, last}):
-            with contextlib.suppress(UserError):
-                yield self.stores[drive].recorded(row)
-
     def static_parts(self, drive: int) -> list[StaticPart]:
         """Static world around the agents of a drive; empty when none is known, DataError where it cannot be rebuilt."""
-        places = [agent.world_from_body[:2, 3] for frame in self._few_frames(drive) for agent in frame.agents]
+        first, last = self.first_row(drive), self.frame_count(drive) - 1
+        places: list[NDArray[np.float64]] = []
+        for row in sorted({first, (first + last + 1) // 2, last}):
+            with contextlib.suppress(UserError):
+                places += [agent.world_from_body[:2, 3] for agent in self.stores[drive].recorded(row).agents]
         moment = getattr(self.sources[drive], "moment", None)
         if moment is not None:
             # A running episode has not come far.
-            places += [*moment(self.first_row(drive)).route[::_ROUTE_STEP]]
+            places += [*moment(first).route[::_ROUTE_STEP]]
         return static_parts(dict(self.sources[drive].protocol), self.origin(drive), np.array(places, np.float64))
 
     def ego_id(self, state: ReviewState) -> int:

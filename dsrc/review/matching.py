@@ -70,12 +70,11 @@ class RankedMatches:
         return Counts(tp, kept - tp, len(self.found_by) - tp)
 
 
-def match(detections: Detections, truth: Boxes, iou: float) -> RankedMatches:
+def ranked_matches(detections: Detections, truth: Boxes, iou: float) -> RankedMatches:
     """Match detections greedily by score, each with the unmatched object of the highest IoU.
 
     Args:
         detections: N detections in the frame of `truth`, best first.
-        truth: M boxes.
         iou: least bird's-eye IoU of a true positive.
     """
     overlap = np.asarray(bev_iou(detections.boxes.array, truth.array), np.float64).reshape(len(detections), len(truth))

@@ -17,7 +17,7 @@ from dsrc.review.errors.notes import NoteBook
 from dsrc.review.frames import LatestUsed
 from dsrc.review.sources.base import Source
 from dsrc.review.sources.opening import add_detectors, open_sources
-from dsrc.review.sources.shares import SharedSource
+from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
 from dsrc.review.view import (
     DETECTED_TRUTH,
@@ -58,9 +58,7 @@ class ReviewModel(Judgements):
         """Open a page on sources or drives; `open_model` takes paths.
 
         Args:
-            sources: sources, or drives as they are.
             detector: gives all sources a set named `detector`.
-            notes: on the errors; None for none.
 
         Raises:
             DataError: the list or a drive is empty.
@@ -225,7 +223,6 @@ def open_model(root: Path, checkpoint: Path | None = None, data: Path | None = N
 
     Args:
         root: drives, results of an evaluation or benchmark, a training, or episode logs.
-        checkpoint: detector file; None for none.
         data: where the drives of results or of a training are now; None for where they were.
 
     Raises:

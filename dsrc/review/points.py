@@ -1,11 +1,11 @@
-"""Points of a sweep as drawn: subsampling and colours."""
+"""Points of a sweep as drawn: subsampling and colours, and which of them a corruption removed."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.review.palette import FATE_COLORS, TURBO, VIRIDIS, Rgb, ramp
 from dsrc.review.state import ColorBy
-from sensors.sweep import Sweep
+from sensors.sweep import ADDED, Sweep
 
 FLOAT16_LIMIT_M = 1000.0
 """Greatest coordinate that is drawn, m: the wire format is float16, with steps of 0.5 m there."""
@@ -72,8 +72,6 @@ def point_colors(
     """(P, 3) uint8 colours of the points.
 
     Args:
-        color_by: quantity shown by the colour.
-        agent_rgb: the agent's colour.
         height_of: (4,) third row of body_from_lidar: sensors may be tilted.
         rows: of the points that are drawn; None for all.
     """
@@ -104,3 +102,40 @@ def _shade(height_m: NDArray[np.floating], object_id: NDArray[np.integer], rgb: 
     level = np.maximum(height_m > 0.35, 2 * (object_id >= 0).view(np.int8)).astype(np.intp)
     table = np.round(levels[:, None] * np.array(rgb, np.float64)).astype(np.uint8)
     return table.take(level, axis=0)
+
+
+def lost_rows(recorded: Sweep, corrupted: Sweep) -> NDArray[np.intp]:
+    """Rows of the recorded sweep whose points a corruption removed, ascending.
+
+    An untouched point has the same coordinates. A displaced one is found by its beam, and where the recording has no
+    columns it is taken for the nearest point that is missing.
+    """
+    after = corrupted[corrupted.object_id != ADDED]
+    missing = np.flatnonzero(~np.isin(_bits(recorded.points), _bits(after.points)))
+    displaced = after[~np.isin(_bits(after.points), _bits(recorded.points))]
+    if len(missing) == 0 or len(displaced) == 0:
+        return missing
+    if recorded.column.any():
+        return missing[~np.isin(_beams(recorded)[missing], _beams(displaced))]
+    # Imported where it is needed: it is not, before a page's first picture.
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(recorded.points[missing]).query(displaced.points)[1]
+    stays = np.ones(len(missing), bool)
+    stays[nearest] = False
+    return missing[stays]
+
+
+def _bits(points: NDArray[np.float32]) -> NDArray[np.uint64]:
+    """(P,) one number for the coordinates of each point; equal points have equal ones."""
+    # Adding zero makes one of the two zeros.
+    bits = np.ascontiguousarray(points + np.float32(0.0)).view(np.uint32).astype(np.uint64)
+    mixed = bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
+    mixed ^= bits[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
+    return mixed ^ (bits[:, 2] * np.uint64(0x165667B19E3779F9))
+
+
+def _beams(sweep: Sweep) -> NDArray[np.int64]:
+    """(P,) one number for the ring, the column and the place among the returns of each point."""
+    beam = sweep.ring.astype(np.int64) << 40 | sweep.column.astype(np.int64) << 8
+    return beam | sweep.return_number

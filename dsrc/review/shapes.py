@@ -37,10 +37,10 @@ def roof_crosses(boxes: Boxes) -> NDArray[np.float32]:
 
 def dashed(boxes: Boxes, dash_m: float = 0.45) -> NDArray[np.float32]:
     """(K, 2, 3) lines of `edges` as dashes of about `dash_m` with gaps of the same length."""
-    return dashes(edges(boxes), dash_m)
+    return dashed_lines(edges(boxes), dash_m)
 
 
-def dashes(lines: NDArray[np.float32], dash_m: float) -> NDArray[np.float32]:
+def dashed_lines(lines: NDArray[np.float32], dash_m: float) -> NDArray[np.float32]:
     """(K, 2, 3) dashes of (N, 2, 3) lines, about `dash_m` long, with gaps of the same length."""
     if len(lines) == 0:
         return lines

@@ -38,7 +38,7 @@ def frame_report(view: FrameView) -> str:
     return f"{head}\n\n{columns}\n{table}"
 
 
-def notice(view: FrameView) -> str:
+def notice_text(view: FrameView) -> str:
     """Explanation of missing detections in a frame, and counts of the methods drawn over the judged one."""
     compared = [(quoted(one.name), one.counts) for one in view.compared if one.counts is not None]
     rows = "\n".join(f"| {name} | {c.tp} | {c.fp} | {c.fn} |" for name, c in compared)

@@ -1,10 +1,10 @@
-"""Worker: one background thread that detects over whole runs and reads frames ahead; knows no page."""
+"""Background threads that know no page: Worker detects over whole runs and reads ahead, Latest does the newest job."""
 
 import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -21,7 +21,7 @@ _JOBS_KEPT = 50
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class JobProgress:
     """Progress of a job.
 
     Attributes:
@@ -69,8 +69,6 @@ class _Job:
 
 @dataclass(frozen=True, slots=True)
 class _Ahead:
-    """Frames to read ahead."""
-
     store: FrameStore
     rows: tuple[int, ...]
     condition: Condition
@@ -84,7 +82,7 @@ class Worker:
         self._changed = threading.Condition()
         self._waiting: deque[int] = deque()
         self._jobs: dict[int, _Job] = {}
-        self._progress: dict[int, Progress] = {}
+        self._progress: dict[int, JobProgress] = {}
         self._cancelled: set[int] = set()
         self._ahead: _Ahead | None = None
         self._count = 0
@@ -114,7 +112,7 @@ class Worker:
             number = self._count = self._count + 1
             self._jobs[number] = _Job(store, own, setup, start)
             total = len(store.source)
-            self._progress[number] = Progress(number, method, store, setup, total=total)
+            self._progress[number] = JobProgress(number, method, store, setup, total=total)
             self._waiting.append(number)
             self._forget_old()
             self._changed.notify_all()
@@ -139,17 +137,17 @@ class Worker:
                 self._end(number, "cancelled")
             self._changed.notify_all()
 
-    def progress(self, number: int) -> Progress:
+    def progress(self, number: int) -> JobProgress:
         """Progress of a job; KeyError for an unknown or long forgotten one."""
         with self._changed:
             return self._progress[number]
 
-    def jobs(self) -> list[Progress]:
+    def jobs(self) -> list[JobProgress]:
         """Progress of the latest jobs, in the order of their numbers."""
         with self._changed:
             return [self._progress[number] for number in sorted(self._progress)]
 
-    def wait(self, number: int, timeout_s: float) -> Progress:
+    def wait(self, number: int, timeout_s: float) -> JobProgress:
         """Wait for the end of a job and return its progress, whether it has ended or not."""
         with self._changed:
             self._changed.wait_for(lambda: self._progress[number].ended, timeout_s)
@@ -180,7 +178,6 @@ class Worker:
                 self._run(number)
 
     def _read_ahead(self) -> None:
-        """Read one frame ahead."""
         with self._changed:
             ahead = self._ahead
             if ahead is None:
@@ -236,7 +233,46 @@ class Worker:
             self._changed.notify_all()
 
     def _forget_old(self) -> None:
-        """Forget the progress of jobs that ended long ago."""
         ended = [number for number, one in sorted(self._progress.items()) if one.ended]
         for number in ended[: max(len(self._progress) - _JOBS_KEPT, 0)]:
             del self._progress[number]
+
+
+class Latest:
+    """Runner of the newest job; its thread lives while there is something to do.
+
+    Attributes:
+        running: whether there is.
+
+    Args:
+        pause_s: time for which each job waits for a newer one, s.
+    """
+
+    def __init__(self, pause_s: float) -> None:
+        self._pause_s = pause_s
+        self._lock = threading.Lock()
+        self._job: Callable[[], None] | None = None
+        self.running = False
+
+    def submit(self, job: Callable[[], None]) -> None:
+        """Run a job in place of one that has not begun; the job handles its own errors."""
+        with self._lock:
+            self._job = job
+            if not self.running:
+                self.running = True
+                threading.Thread(target=self._work, name="review-lab", daemon=True).start()
+
+    def cancel(self) -> None:
+        """Forget a job that has not begun."""
+        with self._lock:
+            self._job = None
+
+    def _work(self) -> None:
+        while True:
+            time.sleep(self._pause_s)
+            with self._lock:
+                job, self._job = self._job, None
+                if job is None:
+                    self.running = False
+                    return
+            job()

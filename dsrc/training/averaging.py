@@ -103,7 +103,6 @@ class WeightSelection(pl.Callback):
             trainer.should_stop = True
 
     def _swap(self, module: pl.LightningModule) -> None:
-        """Exchange the weights and their average."""
         for name, average in self._average.items():
             tensor = _detector(module).state_dict()[name]
             own = tensor.clone()

@@ -114,9 +114,7 @@ class DetectionData(pl.LightningDataModule):
         """Open the drives.
 
         Args:
-            settings: settings of the trained network.
             validation_drives: validation drives; None holds out the end of each training drive.
-            seed: seed of order and augmentation.
         """
         super().__init__()
         self.recipe, self.settings = recipe, settings
@@ -127,7 +125,10 @@ class DetectionData(pl.LightningDataModule):
         wide = SampleStore(drives, whole)
         frames, held_out = wide.frames, wide.frames
         if validation_drives is None and recipe.validation_share > 0:
-            held = {f for f in wide.frames if _is_held_out(f, len(wide.drives[f.drive]), recipe.validation_share)}
+            counts = [len(drive) for drive in wide.drives]
+            # The end of each drive; its first frame is never held out.
+            starts = [max(count - max(round(count * recipe.validation_share), 1), 1) for count in counts]
+            held = {f for f in wide.frames if f.position >= starts[f.drive]}
             frames, held_out = [f for f in wide.frames if f not in held], [f for f in wide.frames if f in held]
         exact = SampleStore(validation_drives or drives, exactly)
         if validation_drives is not None:
@@ -180,11 +181,6 @@ def _workers(count: int) -> dict:
     if count == 0:
         return {"num_workers": 0}
     return {"num_workers": count, "persistent_workers": True, "prefetch_factor": 3}
-
-
-def _is_held_out(frame: FrameRef, frames: int, share: float) -> bool:
-    """Return whether a frame is in the held-out end of its drive; the first frame never is."""
-    return frame.position >= max(frames - max(round(frames * share), 1), 1)
 
 
 def _evenly(frames: list[FrameRef], limit: int) -> list[FrameRef]:

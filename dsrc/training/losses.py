@@ -12,7 +12,7 @@ from msgspec import Meta
 from torch import Tensor
 from torch.nn import functional
 
-from dsrc.models.detector import Output
+from dsrc.models.detector import NetworkOutput
 
 Weight = Annotated[float, Meta(ge=0)]
 
@@ -100,7 +100,7 @@ def direction_loss(direction: Tensor, positive: Tensor, regression: Tensor) -> T
     return ((entropy * positive).flatten(1).sum(1) / positive.flatten(1).sum(1).clamp(min=1)).mean()
 
 
-def consistency_loss(view: Output, clean: Output, positive: Tensor) -> Tensor:
+def consistency_loss(view: NetworkOutput, clean: NetworkOutput, positive: Tensor) -> Tensor:
     """Return the consistency loss of predictions in a corrupted view with those in the clean one, without its gradient.
 
     The Kullback-Leibler divergence of every anchor's probability, and of unit normals around the residuals of positive
@@ -108,18 +108,15 @@ def consistency_loss(view: Output, clean: Output, positive: Tensor) -> Tensor:
 
     Args:
         view: output in the corrupted view, with gradient.
-        clean: output in the clean view.
         positive: (B, h, w, 2) bool.
     """
     return _prediction_error(view, clean, positive, torch.ones_like(view.cls[:, :1]))
 
 
-def _prediction_error(student: Output, teacher: Output, positive: Tensor, where: Tensor) -> Tensor:
+def _prediction_error(student: NetworkOutput, teacher: NetworkOutput, positive: Tensor, where: Tensor) -> Tensor:
     """Return the error of predictions to a teacher's, per number of positives, a mean over samples.
 
     Args:
-        student: output with gradient.
-        teacher: target output, without gradient.
         positive: (B, h, w, 2) bool anchors whose residuals are compared.
         where: (B, 1, h, w) mask of the cells whose probabilities are compared.
     """
@@ -131,8 +128,8 @@ def _prediction_error(student: Output, teacher: Output, positive: Tensor, where:
 
 
 def distillation_losses(
-    student: Output,
-    teacher: Output,
+    student: NetworkOutput,
+    teacher: NetworkOutput,
     foreground: Tensor,
     positive: Tensor,
     agents: tuple[int, ...],
@@ -179,7 +176,11 @@ def _bernoulli_kl(teacher: Tensor, student: Tensor) -> Tensor:
 
 
 def _released_losses(
-    student: Output, teacher: Output, foreground: Tensor, agents: tuple[int, ...], settings: DistillSettings
+    student: NetworkOutput,
+    teacher: NetworkOutput,
+    foreground: Tensor,
+    agents: tuple[int, ...],
+    settings: DistillSettings,
 ) -> dict[str, Tensor]:
     dae = student.cls.new_zeros(())
     for s, t in zip(student.stages, teacher.stages, strict=True):

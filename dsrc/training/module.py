@@ -11,7 +11,7 @@ from torch import Tensor, distributed
 from torch.optim.lr_scheduler import LambdaLR
 
 from dsrc.evaluation.metrics.ap import FrameResult
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import Reconstruction, reconstruction_losses
@@ -63,7 +63,7 @@ class DetectionModule(pl.LightningModule):
         super()._apply(fn, recurse)
         return self
 
-    def forward(self, batch: Batch) -> Output:
+    def forward(self, batch: Batch) -> NetworkOutput:
         """Run the network on its clouds: a teacher's own, or the sensors'."""
         with self._autocast():
             if self.detector.settings.role == "teacher":
@@ -111,7 +111,7 @@ class DetectionModule(pl.LightningModule):
         done = self.global_step / max(int(self.trainer.estimated_stepping_batches), 1)
         return min(max((1.0 - done) / fade, 0.0), 1.0)
 
-    def _consistency(self, batch: Batch, clean: Output) -> Tensor:
+    def _consistency(self, batch: Batch, clean: NetworkOutput) -> Tensor:
         """Return the consistency loss between the two views of a batch; 0 with one view."""
         if batch.view is None or batch.targets is None:
             return clean.cls.new_zeros(())
@@ -194,7 +194,7 @@ class DetectionModule(pl.LightningModule):
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
-def as_teacher(teacher: Detector, batch: Batch) -> Output:
+def as_teacher(teacher: Detector, batch: Batch) -> NetworkOutput:
     """Run a teacher on its clouds; in training, the clouds of its objects enter its pillar norm if the batch has them.
 
     As in the released code, which encodes both in one batch and continues with the teacher's clouds alone.
@@ -236,14 +236,12 @@ class RateCurve:
     def __call__(self, step: int) -> float:
         """Return the relative rate at a step."""
         if self.released:
-            return self._in_epoch(step * self.epochs // self.steps)
+            # Once per epoch, and the cosine runs on under the warm-up.
+            epoch = step * self.epochs // self.steps
+            if epoch < self.rise_epochs:
+                return 0.2 + 0.8 * epoch / self.rise_epochs
+            return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(epoch / self.epochs, 1.0)))
         if step < self.rise:
             return self.start + (1 - self.start) * step / self.rise
         fall = min((step - self.rise) / max(self.steps - self.rise, 1), 1.0)
         return self.end + (1 - self.end) * 0.5 * (1 + math.cos(math.pi * fall))
-
-    def _in_epoch(self, epoch: int) -> float:
-        """Return the released code's relative rate in an epoch: the cosine runs on under the warm-up."""
-        if epoch < self.rise_epochs:
-            return 0.2 + 0.8 * epoch / self.rise_epochs
-        return 0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(epoch / self.epochs, 1.0)))

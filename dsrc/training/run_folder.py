@@ -11,7 +11,7 @@ import msgspec
 import torch
 
 from dsrc.runs.provenance import commit, versions
-from dsrc.training.recipes import PARTS, of_today
+from dsrc.training.recipes import PARTS, Stage, of_today
 from sim.errors import CheckpointError, DataError, SettingsError, complaint
 from sim.files import write_file
 from sim.reading import read_bytes
@@ -24,6 +24,26 @@ _OF_THE_CHOICE = ("validate_every", "validation_frames")
 """Fields that change the weights only where validations choose them, or the end of the training."""
 
 State = Literal["new", "interrupted", "finished"]
+
+
+class RecordedSettings(msgspec.Struct, frozen=True):
+    """Recipe and stage of a run, the recipe as of the version that recorded it; see `of_today`."""
+
+    recipe: dict[str, Any]
+    stage: Stage
+
+
+class Record(msgspec.Struct, frozen=True):
+    """Record of a run, `settings.json`."""
+
+    settings: RecordedSettings
+    seed: int
+    versions: dict[str, str]
+    data: dict[str, str]
+    folders: dict[str, str | None] = {}
+    validation: dict[str, str] | None = None
+    teacher: str | None = None
+    init: dict[str, Any] | None = None
 
 
 class RunFolder:
@@ -97,7 +117,6 @@ class RunFolder:
             write_json(self.environment, [*before, now])
 
     def _check_same_run(self, record: Mapping[str, object]) -> None:
-        """Compare the recorded run with the requested one."""
         if not self.settings.exists():
             hint = "; choose another folder or remove this one"
             raise SettingsError(

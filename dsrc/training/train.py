@@ -289,7 +289,6 @@ def _without_advice() -> Iterator[None]:
 
 
 def _trainer(recipe: Recipe, folder: RunFolder, processes: Processes, callbacks: Sequence[pl.Callback]) -> pl.Trainer:
-    """Make the trainer: its loop, devices, checkpoints and logs."""
     last = ModelCheckpoint(
         folder.checkpoints,
         filename=folder.last.stem,

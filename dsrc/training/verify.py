@@ -12,8 +12,8 @@ from dsrc.models.inputs.batch import Batch
 from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.runs.provenance import versions
 from dsrc.training.datamodule import DetectionData
-from dsrc.training.recipes import Recipe, Stage, of_today
-from dsrc.training.run_folder import DETECTOR, RESULT, SETTINGS
+from dsrc.training.recipes import Recipe, of_today
+from dsrc.training.run_folder import DETECTOR, RESULT, SETTINGS, Record, RecordedSettings
 from dsrc.training.validation import best_device, frames_named, validate
 from sim.errors import CheckpointError, DataError, complaint
 from sim.files import file_sha256
@@ -38,28 +38,10 @@ class Comparison:
         return f"differs  {self.name}: recorded {self.recorded}, found {self.found}"
 
 
-class _Settings(msgspec.Struct, frozen=True):
-    recipe: dict[str, Any]
-    stage: Stage
-
-
-class _Record(msgspec.Struct, frozen=True):
-    """Record of a run, `settings.json`."""
-
-    settings: _Settings
-    seed: int
-    versions: dict[str, str]
-    data: dict[str, str]
-    folders: dict[str, str | None] = {}
-    validation: dict[str, str] | None = None
-    teacher: str | None = None
-    init: dict[str, Any] | None = None
-
-
 class _Meta(msgspec.Struct, frozen=True):
     """Provenance in a detector file; empty in one of another origin."""
 
-    settings: _Settings | None = None
+    settings: RecordedSettings | None = None
     seed: int | None = None
     teacher: str | None = None
     init: dict[str, Any] | None = None
@@ -74,7 +56,7 @@ class _Result(msgspec.Struct, frozen=True):
     metrics: dict[str, float]
 
 
-Document = TypeVar("Document", _Record, _Result)
+Document = TypeVar("Document", Record, _Result)
 
 
 def runs_in(folder: Path) -> list[Path]:
@@ -103,7 +85,6 @@ def verify(
     start and epoch if recorded, and the average precisions within `AP_TOLERANCE`.
 
     Args:
-        run: folder of a finished training.
         data: folder of its training drives, if they have moved.
         validation: folder of its validation drives, if they have moved.
         progress: called with the numbers of finished and of all frames.
@@ -112,7 +93,7 @@ def verify(
         DataError: the folder is not a finished run, or the data is missing.
         CheckpointError: the detector is missing or damaged.
     """
-    record, result = _read(run / SETTINGS, _Record), _read(run / RESULT, _Result)
+    record, result = _read(run / SETTINGS, Record), _read(run / RESULT, _Result)
     try:
         recipe = msgspec.convert(of_today(record.settings.recipe), Recipe)
     except (msgspec.ValidationError, KeyError, TypeError) as error:
@@ -143,7 +124,7 @@ def verify(
     before = _bare(result.metrics)
     for name in {**found, **before}:
         recorded, now = before.get(name), found.get(name)
-        agrees = recorded is not None and now is not None and _near(recorded, now)
+        agrees = recorded is not None and now is not None and abs(recorded - now) <= AP_TOLERANCE
         where = f"{name} on {frames_named(unseen)}"
         checks.append(Comparison(where, _rounded(recorded), _rounded(now), agrees))
     return checks
@@ -188,7 +169,6 @@ def _fields(name: str, recorded: dict[str, Any], found: dict[str, Any]) -> list[
 
 
 def _plain(settings: object) -> dict[str, Any]:
-    """Return settings as JSON types."""
     plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(settings))
     return plain
 
@@ -198,16 +178,11 @@ def _bare(metrics: dict[str, float]) -> dict[str, float]:
     return {name.rpartition("/")[2]: value for name, value in metrics.items()}
 
 
-def _near(a: float, b: float) -> bool:
-    return abs(a - b) <= AP_TOLERANCE
-
-
 def _rounded(value: float | None) -> str:
     return "nothing" if value is None else f"{value:.4f}"
 
 
 def _known(**values: object) -> dict[str, Any]:
-    """Return the values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
 
 

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from dsrc.data.sample import Sample
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import collate
 from dsrc.tables.table import Column, Table, TableRow
 
@@ -61,7 +61,7 @@ def channel_table(networks: Mapping[str, Detector], samples: Sequence[Sample], d
     return Table("channels", f"Channels that never fire, {dataset}", "Network", columns, tuple(lines), note)
 
 
-def _output(detector: Detector, sample: Sample) -> Output:
+def _output(detector: Detector, sample: Sample) -> NetworkOutput:
     """Output of a network for a sample; a teacher reads clouds made with ground truth."""
     batch = collate([sample], detector.settings, training=False)
     pillars = batch.teacher if detector.settings.role == "teacher" else batch.student

@@ -25,7 +25,7 @@ from torch.nn import functional
 from dsrc.data.drives import Drive, open_drives
 from dsrc.data.sample import Sample, make_sample
 from dsrc.evaluation.detect import frame_positions
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.storage.checkpoint import load_detector
 from dsrc.training.augment import augment, source_grid
@@ -81,7 +81,7 @@ def named(given: str) -> tuple[str, Detector]:
 
 
 @torch.inference_mode()
-def output_of(detector: Detector, batch: Batch) -> Output:
+def output_of(detector: Detector, batch: Batch) -> NetworkOutput:
     """Return the output of a student."""
     assert batch.student is not None
     return detector(batch.student, batch.layout).float()

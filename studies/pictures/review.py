@@ -18,7 +18,7 @@ from PIL import Image
 
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.cells.html import compare_address
+from dsrc.review.page.cells import compare_address
 from dsrc.review.page.commands import go_to_error
 from dsrc.review.page.output.export import export_pictures, write_animation
 from dsrc.review.page.output.screenshot import PATIENCE_S, BrowserPage, open_page

@@ -17,7 +17,7 @@ from dsrc.evaluation.stored import read_index, read_run
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import join_files, load_detector, load_joined, read_meta, save_detector
 from dsrc.models.storage.import_dsrc import import_detector
-from dsrc.models.storage.import_opencood import Origin, import_opencood
+from dsrc.models.storage.import_opencood import PublishedTraining, import_opencood
 from dsrc.options.detection import Evaluation
 from dsrc.review.errors.notes import NoteBook
 from dsrc.review.sources.results import open_results
@@ -53,7 +53,12 @@ def _detectors(folder: Path) -> list[Target]:
         Target("detectors, joined", both, load_joined, "tensors"),
         Target("detector", detector, lambda path: (load_detector(path), read_meta(path)), "tensors"),
         Target("published detector", imported, lambda path: import_detector(path, made.settings.grid), "tensors"),
-        Target("detector of OpenCOOD", zoo, lambda path: import_opencood(path, Origin(range_m=RANGE_M)), "tensors"),
+        Target(
+            "detector of OpenCOOD",
+            zoo,
+            lambda path: import_opencood(path, PublishedTraining(range_m=RANGE_M)),
+            "tensors",
+        ),
     ]
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked_maps
 from dsrc.models.fusion.warp import into_ego
 
 
@@ -18,7 +18,7 @@ class AttentionFusion(Fusion):
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale."""
-        return stacked([ego_row(into_ego(g, layout, b)) for b, g in enumerate(layout.split(features))])
+        return stacked_maps([ego_row(into_ego(g, layout, b)) for b, g in enumerate(layout.split(features))])
 
 
 def ego_row(group: Tensor) -> Tensor:

@@ -113,6 +113,6 @@ def zeroed(layer: Layer) -> Layer:
     return layer
 
 
-def stacked(rows: Sequence[Tensor]) -> Tensor:
+def stacked_maps(rows: Sequence[Tensor]) -> Tensor:
     """Stack B (C, H, W) maps to (B, C, H, W) in their memory order, which `torch.stack` changes."""
     return rows[0][None] if len(rows) == 1 else torch.cat([row[None] for row in rows])

@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor, nn
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, stacked, zeroed
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked_maps, zeroed
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import AgentWindows, FeedForward, Residual, padded
 from dsrc.models.settings import ModelSettings
@@ -116,4 +116,4 @@ class CoBEVT(WindowFusion):
         """Fuse the maps."""
         groups = [into_ego(group, layout, b) for b, group in enumerate(layout.split(features))]
         learned = torch.stack([self.head(self.attend(group)) for group in groups])
-        return self.keep[:, None, None] * stacked([group.amax(0) for group in groups]) + learned
+        return self.keep[:, None, None] * stacked_maps([group.amax(0) for group in groups]) + learned

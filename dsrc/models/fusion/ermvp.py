@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import AgentLayout, stacked
+from dsrc.models.fusion.base import AgentLayout, stacked_maps
 from dsrc.models.fusion.cobevt import WindowFusion
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import (
@@ -102,7 +102,7 @@ class ERMVP(WindowFusion):
         """Fuse the maps."""
         groups = layout.split(features)
         learned = [self.head(self.attend(into_ego(group, layout, b))) for b, group in enumerate(groups)]
-        return self.keep[:, None, None] * stacked([group[0] for group in groups]) + torch.stack(learned)
+        return self.keep[:, None, None] * stacked_maps([group[0] for group in groups]) + torch.stack(learned)
 
 
 class Sampler(nn.Module):

@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked_maps
 from dsrc.models.fusion.warp import into_ego
 
 
@@ -18,7 +18,7 @@ class MaxFusion(Fusion):
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale."""
         groups = layout.split(features)
-        return stacked([into_ego(group, layout, b).amax(0) for b, group in enumerate(groups)])
+        return stacked_maps([into_ego(group, layout, b).amax(0) for b, group in enumerate(groups)])
 
 
 class MaxMapFusion(MaxFusion):

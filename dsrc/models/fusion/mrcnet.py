@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.fusion.base import AgentLayout, Fusion, stacked, zeroed
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked_maps, zeroed
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.settings import ModelSettings
 
@@ -74,7 +74,7 @@ class MRCNetStyle(Fusion):
             for b, groups in enumerate(zip(*alike, strict=True))
         ]
         return [
-            stacked([group[0] for group in layout.split(scale)]) + layer(torch.stack(parts))
+            stacked_maps([group[0] for group in layout.split(scale)]) + layer(torch.stack(parts))
             for layer, scale, parts in zip(self.restore, maps, zip(*joined, strict=True), strict=True)
         ]
 

@@ -86,7 +86,6 @@ class V2VNet(Fusion):
         return torch.stack(messages)
 
     def _step(self, own: Tensor, messages: Tensor) -> Tensor:
-        """Return the agents' new features."""
         both = torch.cat([own, messages], dim=1)
         return self.keep[:, None, None] * own + torch.sigmoid(self.update(both)) * torch.tanh(self.candidate(both))
 

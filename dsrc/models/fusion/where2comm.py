@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from dsrc.models.fusion.attention import ego_row
-from dsrc.models.fusion.base import AgentLayout, Fusion, stacked
+from dsrc.models.fusion.base import AgentLayout, Fusion, stacked_maps
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.settings import ModelSettings
 
@@ -72,7 +72,7 @@ class Where2comm(Fusion):
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale."""
         groups = [into_ego(group, layout, b) for b, group in enumerate(layout.split(features))]
-        return stacked([ego_row(group) for group in groups])
+        return stacked_maps([ego_row(group) for group in groups])
 
     def smoothed(self, logits: Tensor) -> Tensor:
         """Return the (N, 1, h, w) smoothed confidence of (N, anchors, h, w) logits."""

@@ -237,13 +237,15 @@ def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -
     """Sort the points of (P, D) clouds into pillars."""
     points, rows, coords, counts = [], [], [], []
     start = 0
+    grid = settings.grid
+    cell = (grid.cell_m, grid.cell_m, grid.range_m[5] - grid.range_m[2])
     for number, cloud in enumerate(clouds):
-        order, cells, count = _sorted(cloud, settings)
-        points.append(cloud.take(order, axis=0))
-        rows.append(np.repeat(np.arange(start, start + len(count)), count))
-        counts.append(count)
-        coords.append(np.concatenate([np.full((len(cells), 1), number), cells], axis=1))
-        start += len(count)
+        voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
+        points.append(cloud.take(voxels.order, axis=0))
+        rows.append(np.repeat(np.arange(start, start + len(voxels)), voxels.count))
+        counts.append(voxels.count)
+        coords.append(np.concatenate([np.full((len(voxels), 1), number), voxels.coords_zyx[:, 1:]], axis=1))
+        start += len(voxels)
     return Pillars(
         points=torch.from_numpy(np.concatenate(points).astype(np.float32, copy=False)),
         pillar=torch.from_numpy(np.concatenate(rows)),
@@ -251,16 +253,6 @@ def pillars_of(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -
         count=torch.from_numpy(np.concatenate(counts)),
         clouds=len(clouds),
     )
-
-
-def _sorted(
-    cloud: NDArray[np.float32], settings: ModelSettings
-) -> tuple[NDArray[np.int64], NDArray[np.integer], NDArray[np.int64]]:
-    """Return (K,) point indices pillar by pillar, (V, 2) rows and columns and (V,) point counts of the pillars."""
-    grid = settings.grid
-    cell = (grid.cell_m, grid.cell_m, grid.range_m[5] - grid.range_m[2])
-    voxels = voxelise(cloud, grid.range_m, cell, settings.max_points, settings.max_pillars)
-    return voxels.order, voxels.coords_zyx[:, 1:], voxels.count
 
 
 def _painted_pillars(clouds: Sequence[NDArray[np.float32]], settings: ModelSettings) -> Pillars:
@@ -273,20 +265,23 @@ def _cells_with_points(views: list[TeacherClouds], grid: GridSpec) -> NDArray[np
     objects = [cloud for view in views for cloud in view.object_clouds]
     mask = np.zeros((len(objects), grid.height, grid.width), bool)
     for row, cloud in enumerate(objects):
-        column_x, row_y, _ = _cells(cloud, grid, grid.cell_m)
-        mask[row, row_y, column_x] = True
+        # The far face belongs to the last cell. What is clipped is not negative: cutting off its fraction rounds down.
+        place = (cloud[:, :2].astype(np.float64) - grid.range_m[:2]) / grid.cell_m
+        cells = np.clip(place, 0, [grid.width - 1, grid.height - 1]).astype(np.int64)
+        mask[row, cells[:, 1], cells[:, 0]] = True
     return mask
 
 
 def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> SceneVoxels:
     """Voxelise B merged (M, 4) clouds: occupied voxels and the mean of all their points."""
     grid, cell_z = settings.grid, settings.reconstruction_cell_z_m
+    low, size = np.array(grid.range_m[:3]), np.array([grid.cell_m, grid.cell_m, cell_z])
+    shape = np.array([grid.width, grid.height, round((grid.range_m[5] - grid.range_m[2]) / cell_z)])
     voxels, offsets = [], []
     for number, cloud in enumerate(merged):
-        cells, count, sums = _summed(cloud, grid, cell_z)
+        cells, count, sums = sum_cells(np.asarray(cloud, np.float32), low, size, shape)
         zyx = np.stack(np.unravel_index(cells, (settings.reconstruction_bins, grid.height, grid.width)), axis=1)
-        size = np.array([grid.cell_m, grid.cell_m, cell_z])
-        centre = (zyx[:, ::-1] + 0.5) * size + np.array(grid.range_m[:3])
+        centre = (zyx[:, ::-1] + 0.5) * size + low
         voxels.append(np.concatenate([np.full((len(cells), 1), number), zyx], axis=1))
         offsets.append(sums / count[:, None] - centre)
     return SceneVoxels(
@@ -296,36 +291,10 @@ def scene_of(merged: Sequence[NDArray[np.float32]], settings: ModelSettings) -> 
     )
 
 
-def _summed(
-    cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return the (V,) flat cells with points, ascending, their (V,) point counts and (V, 3) sums of points."""
-    layers = round((grid.range_m[5] - grid.range_m[2]) / cell_z)
-    size, shape = np.array([grid.cell_m, grid.cell_m, cell_z]), np.array([grid.width, grid.height, layers])
-    return sum_cells(np.asarray(cloud, np.float32), np.array(grid.range_m[:3]), size, shape)
-
-
-def _cells(
-    cloud: NDArray[np.float32], grid: GridSpec, cell_z: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the (P,) columns, rows and layers of points in range; the far face belongs to the last cell."""
-    size = (grid.cell_m, grid.cell_m, cell_z)
-    cells = []
-    for axis in range(3):
-        place = cloud[:, axis].astype(np.float64)
-        place -= grid.range_m[axis]
-        place /= size[axis]
-        last = round((grid.range_m[axis + 3] - grid.range_m[axis]) / size[axis]) - 1
-        # What is clipped is not negative: cutting off its fraction rounds it down.
-        cells.append(np.clip(place, 0, last, out=place).astype(np.int64))
-    return cells[0], cells[1], cells[2]
-
-
 _anchors = lru_cache(maxsize=4)(anchor_grid)
 
 
 def _targets(samples: Sequence[Sample], settings: ModelSettings, labels: LabelSettings) -> Targets:
-    """Assign every sample's boxes to anchors."""
     legacy = labels.targets == "released"
     anchors = _anchors(settings.grid, settings.head_stride, settings.users, settings.anchor_lwh)
     kinds = ANCHORS[settings.users]

@@ -12,8 +12,6 @@ def double_conv(
     """Make two convolutions with ReLUs; the first has the kernel and the stride, the second is 3 x 3.
 
     Args:
-        kernel: kernel size of the first convolution.
-        stride: stride of the first convolution.
         norm_momentum: momentum of a batch norm after each convolution; None without norms, as in the released code.
     """
 

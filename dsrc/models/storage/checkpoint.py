@@ -12,6 +12,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.joined import JoinedDetectors
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.deploy import ENGINES
+from dsrc.models.storage.published import filled
 from dsrc.models.storage.tensors import is_plain, read_tensors
 from dsrc.ops.anchors import ANCHORS
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
@@ -70,24 +71,11 @@ def _detector(path: Path, content: Mapping[str, object]) -> Detector:
         settings = msgspec.convert(content["settings"], ModelSettings)
         if max(settings.stage_blocks) > _MOST_BLOCKS:
             raise ValueError(f"a stage of {max(settings.stage_blocks)} blocks")
-        with torch.device("meta"):  # sizes without memory: settings may ask for any
-            wanted = Detector(settings).state_dict()
     except Exception as error:  # of the parts, which check their own settings
         raise CheckpointError(complaint(path, "settings", "those of a detector", str(error))) from None
-    if not isinstance(state, dict) or set(state) != set(wanted):
-        name = next(iter(sorted(set(wanted) ^ set(state if isinstance(state, dict) else {}))))
-        raise CheckpointError(complaint(path, "state", "the tensors of its settings", f"{name} missing or too many"))
-    for name, tensor in wanted.items():
-        shape = tuple(getattr(state[name], "shape", (-1,)))
-        if shape != tuple(tensor.shape):
-            raise CheckpointError(complaint(path, f"state.{name}", f"shape {tuple(tensor.shape)}", shape))
-        if not is_plain(state[name]):
-            raise CheckpointError(complaint(path, f"state.{name}", "a dense tensor", "another layout"))
-        if tensor.is_floating_point() and not bool(torch.isfinite(state[name]).all()):
-            raise CheckpointError(complaint(path, f"state.{name}", "finite numbers", "NaN or infinity"))
-    detector = Detector(settings)
-    detector.load_state_dict({name: state[name].to(tensor.dtype) for name, tensor in wanted.items()})
-    return detector.eval()
+    if not isinstance(state, dict) or not all(map(is_plain, state.values())):
+        raise CheckpointError(complaint(path, "state", "dense tensors by name", "something else"))
+    return filled(path, settings, {name: (name, tensor) for name, tensor in state.items()})
 
 
 def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Detector:
@@ -107,7 +95,6 @@ def load_joined(path: Path, device: str = "cpu", engine: str = "fused", fusion: 
     """Read the students of a detector file, one or several that are joined; arguments and errors as `load_student`.
 
     Args:
-        engine: key of `ENGINES`.
         fusion: fusion method in place of theirs, see `with_fusion`; "" for theirs.
 
     Raises:
@@ -141,7 +128,6 @@ def with_fusion(detector: Detector, fusion: str) -> Detector:
 
     Args:
         detector: detector of `load_detector`; weights of `deployed` ones have other names.
-        fusion: key of `FUSIONS`.
 
     Raises:
         CheckpointError: the fusion needs other weights than the detector has.

@@ -48,7 +48,7 @@ def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Dete
     return fast
 
 
-def compiled(detector: Detector) -> Detector:
+def torch_compiled(detector: Detector) -> Detector:
     """Copy a detector for inference with PyTorch's compiler; the first frames take a minute.
 
     Raises:
@@ -67,7 +67,7 @@ def compiled(detector: Detector) -> Detector:
 ENGINES: dict[str, Callable[[Detector], Detector]] = {
     "fused": deployed,
     "bf16": partial(deployed, precision=torch.bfloat16),
-    "compiled": compiled,
+    "compiled": torch_compiled,
     "plain": lambda detector: detector,
 }
 """Ways to run a detector, by name."""
@@ -87,7 +87,7 @@ def _fused(module: nn.Module) -> nn.Module:
     if isinstance(module, nn.Sequential):
         layers = list(module)
         if layers and all(isinstance(layer, Res2Block) for layer in layers):
-            return FusedStage(layers)  # type: ignore[arg-type]
+            return nn.Sequential(*(FusedRes2Block(layer) for layer in layers if isinstance(layer, Res2Block)))
         return nn.Sequential(*_fused_layers(layers))
     _fuse_children(module)
     return module
@@ -99,7 +99,7 @@ def _fused_layers(layers: Sequence[nn.Module]) -> list[nn.Module]:
     left = list(layers)
     while left:
         layer = left.pop(0)
-        if not _is_plain(layer):
+        if not (isinstance(layer, nn.Conv2d) and layer.groups == 1 and layer.dilation == (1, 1)):
             fused.append(_fused(layer))
             continue
         norm = left.pop(0) if left and isinstance(left[0], nn.BatchNorm2d) else None
@@ -108,10 +108,6 @@ def _fused_layers(layers: Sequence[nn.Module]) -> list[nn.Module]:
             left.pop(0)
         fused.append(FusedConv(*folded(layer, norm), layer.stride[0], layer.padding[0], relu))  # type: ignore[arg-type, union-attr, index]
     return fused
-
-
-def _is_plain(layer: nn.Module) -> bool:
-    return isinstance(layer, nn.Conv2d) and layer.groups == 1 and layer.dilation == (1, 1)
 
 
 def folded(conv: nn.Conv2d | nn.ConvTranspose2d, norm: nn.BatchNorm2d | None) -> tuple[Tensor, Tensor]:
@@ -204,21 +200,6 @@ class FusedConv(nn.Module):
             )
         out += functional.conv2d(x, self.weight, self.bias, stride, padding)
         return out.relu_() if self.relu else out
-
-
-class FusedStage(nn.Module):
-    """Stage of fused Res2 blocks."""
-
-    def __init__(self, blocks: Sequence[Res2Block]) -> None:
-        """Fuse the blocks of a stage."""
-        super().__init__()
-        self.blocks = nn.ModuleList(FusedRes2Block(block) for block in blocks)
-
-    def forward(self, x: Tensor | PillarMap) -> Tensor:
-        """Map (N, inputs, H, W) to (N, outputs, H', W')."""
-        for block in self.blocks:
-            x = block(x)
-        return x  # type: ignore[return-value]
 
 
 class FusedRes2Block(nn.Module):

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.names import detector_state
 from dsrc.models.storage.published import filled, published_tensors
-from dsrc.models.storage.reference_names import detector_state
 from dsrc.ops.grid import GridSpec
 from sim.errors import CheckpointError, complaint
 
@@ -75,7 +75,6 @@ def _check_unknown_tensors(path: Path, reference: Mapping[str, Tensor], known: i
 
 
 def _settings(state: Mapping[str, Tensor], grid: GridSpec, teacher: bool, designed: bool) -> ModelSettings:
-    """Return settings with the sizes of a `Detector`'s tensors."""
     channels = tuple(len(state[f"backbone.stages.{k}.0.conv3.weight"]) for k in range(3))
     widths = [len(state[f"backbone.stages.{k}.0.conv1.weight"]) // 4 for k in range(3)]
     fitting = [w for w in (RELEASED_WIDTH, *range(1, 257)) if [c * w // 64 for c in channels] == widths]

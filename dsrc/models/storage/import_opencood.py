@@ -10,9 +10,8 @@ from torch import Tensor
 from dsrc.models.detector import Detector
 from dsrc.models.fusion.where2comm import gaussian
 from dsrc.models.settings import ModelSettings
-from dsrc.models.storage.opencood_names import COMPRESSOR, FUSIONS, SAMPLER, SINGLE
+from dsrc.models.storage.names import COMPRESSOR, FUSIONS, SAMPLER, SINGLE, Rule, renamed_tensor
 from dsrc.models.storage.published import filled, published_tensors
-from dsrc.models.storage.reference_names import Rule, renamed
 from dsrc.ops.grid import GridSpec
 from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
 from sim.settings import convert
@@ -40,7 +39,7 @@ _SCORE_THRESHOLD = 0.2
 _SCORE_THRESHOLDS = {"v2xvit": 0.27}
 
 
-class Origin(msgspec.Struct, frozen=True, kw_only=True):
+class PublishedTraining(msgspec.Struct, frozen=True, kw_only=True):
     """Training of a published network, as far as no tensor tells it.
 
     Attributes:
@@ -68,7 +67,7 @@ class Origin(msgspec.Struct, frozen=True, kw_only=True):
     direction_start: float = 0.7853
 
 
-def import_opencood(path: Path, origin: Origin | None = None) -> Detector:
+def import_opencood(path: Path, origin: PublishedTraining | None = None) -> Detector:
     """Import a state dict of OpenCOOD or a fork of it: the same maps of the same points.
 
     Fusions are as released: masks, absent agents and unused layers as in their classes' `released`. All else that no
@@ -84,7 +83,7 @@ def import_opencood(path: Path, origin: Origin | None = None) -> Detector:
         SettingsError: the tensors fit several methods and none is named, or not the one that is; or a number of the
             training is out of its range.
     """
-    origin = origin or Origin()
+    origin = origin or PublishedTraining()
     tensors = published_tensors(path)
     method = _method(path, tensors, origin.method)
     try:
@@ -134,15 +133,18 @@ def _method(path: Path, tensors: Mapping[str, Tensor], asked: str | None) -> str
     raise SettingsError(complaint(path, "method", f"one that fits, of {', '.join(fitting)}", "several", "; name one"))
 
 
-def _settings(tensors: Mapping[str, Tensor], method: str, grid: GridSpec, origin: Origin) -> ModelSettings:
-    """Return settings with the sizes of the tensors."""
+def _settings(tensors: Mapping[str, Tensor], method: str, grid: GridSpec, origin: PublishedTraining) -> ModelSettings:
     residual = any(name.startswith("backbone.resnet.") for name in tensors)
     stages = [
         _convolutions(tensors, f"backbone.resnet.layer{k}." if residual else f"backbone.blocks.{k}.") for k in range(3)
     ]
     shrink = tensors.get("shrink_conv.layers.0.double_conv.0.weight")
     widths = tuple(tensors[f"backbone.deblocks.{k}.0.weight"].shape[1] for k in range(3))
-    stride = None if shrink is None else origin.shrink_stride or _stride(method, shrink)
+    stride = None
+    if shrink is not None:
+        # Else that of the method's published recipe.
+        learned = method in _ONE_MAP or method == "where2comm"
+        stride = origin.shrink_stride or (2 if learned and shrink.shape[-1] == 3 else 1)
     compressor = tensors.get("naive_compressor.encoder.0.weight")
     agents = origin.max_agents
     if method in ("cobevt", "ermvp"):
@@ -188,28 +190,20 @@ def _convolutions(tensors: Mapping[str, Tensor], prefix: str) -> list[Tensor]:
     return found
 
 
-def _stride(method: str, shrink: Tensor) -> int:
-    """Return the stride of the shrink convolutions in the method's published recipe."""
-    learned = method in _ONE_MAP or method == "where2comm"
-    return 2 if learned and shrink.shape[-1] == 3 else 1
-
-
 def _attention_channels(tensors: Mapping[str, Tensor]) -> tuple[int, ...]:
-    """Return the four widths of V2X-ViT's attentions."""
     block = "fusion_net.encoder.layers.0.0.layers.0"
     windows = [len(tensors[f"{block}.1.fn.pwmsa.{k}.to_qkv.weight"]) // 3 for k in range(3)]
     return len(tensors[f"{block}.0.fn.q_linears.0.weight"]), *windows
 
 
 def _renamed(path: Path, tensors: Mapping[str, Tensor], method: str) -> dict[str, tuple[str, Tensor]]:
-    """Return published name and tensor by our names."""
     rules: dict[str, tuple[Rule, ...]] = {"": (*SINGLE, *(COMPRESSOR if method in _ONE_MAP else ()))}
     rules["fusion_net."] = FUSIONS.get("where2comm" if method == "attention" else method, ())
     rules["sampler."] = SAMPLER if method == "ermvp" else ()
     state = {}
     for name, tensor in tensors.items():
         part = next((part for part in ("fusion_net.", "sampler.") if name.startswith(part)), "")
-        ours = renamed(name.removeprefix(part), rules[part])
+        ours = renamed_tensor(name.removeprefix(part), rules[part])
         if ours == "":
             found = f"{name} {tuple(tensor.shape)}"
             raise CheckpointError(complaint(path, "state", f"no tensor beside those of '{method}'", found))

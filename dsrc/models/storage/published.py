@@ -30,10 +30,9 @@ def published_tensors(path: Path) -> dict[str, Tensor]:
 
 
 def filled(path: Path, settings: ModelSettings, state: Mapping[str, tuple[str, Tensor]]) -> Detector:
-    """Make a detector of published tensors, in evaluation mode.
+    """Make a detector of settings and tensors, in evaluation mode.
 
     Args:
-        path: of the file, for messages.
         state: published name and tensor, by the detector's names, in the order of the file.
 
     Raises:
@@ -42,7 +41,7 @@ def filled(path: Path, settings: ModelSettings, state: Mapping[str, tuple[str, T
     try:
         with torch.device("meta"):  # sizes without memory: empty tensors may ask for any
             wanted = Detector(settings).state_dict()
-    except (ValueError, RuntimeError, IndexError) as error:
+    except Exception as error:  # of the parts, which check their own settings
         raise CheckpointError(complaint(path, "state", "tensors of one network", str(error))) from None
     for name, (published, tensor) in state.items():
         if name not in wanted:

@@ -10,7 +10,7 @@ from dsrc.review.errors.judged import JudgedRun
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Changes:
+class ObjectChanges:
     """Objects that one run finds and the other misses, K rows, by frame.
 
     Attributes:
@@ -29,12 +29,10 @@ class Changes:
 
 def changes(
     before: JudgedRun, after: JudgedRun, threshold: float, iou: float, only: ErrorFilter | None = None
-) -> Changes:
+) -> ObjectChanges:
     """Changes from one run to another: another condition, or another method.
 
     Args:
-        threshold: least score of a detection in both.
-        iou: least bird's-eye IoU of a true positive.
         only: objects of the second run to look at; None for all.
     """
     first, second = _same_objects(before, after)
@@ -46,7 +44,7 @@ def changes(
     second, has = second[changed], has[changed]
     row = after.table.position[after.truth_frame_of[second]]
     order = np.lexsort((after.truth_distance_m[second], row))
-    return Changes(row[order], after.table.object_id[second[order]], has[order])
+    return ObjectChanges(row[order], after.table.object_id[second[order]], has[order])
 
 
 def _same_objects(before: JudgedRun, after: JudgedRun) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -117,9 +117,6 @@ class ErrorIndex:
     Attributes:
         runs: by name of the method.
 
-    Args:
-        runs: of the same frames.
-
     Raises:
         ValueError: two runs have one name.
     """
@@ -135,8 +132,6 @@ class ErrorIndex:
         """Errors, the worst first.
 
         Args:
-            threshold: least score of a detection.
-            iou: least bird's-eye IoU of a true positive.
             poor_iou: IoU below which a true positive is poor.
         """
         only, names = only or ErrorFilter(), list(self.runs)

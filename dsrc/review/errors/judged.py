@@ -123,8 +123,6 @@ class JudgedRun:
         """Counts of the run.
 
         Args:
-            threshold: least score of a detection.
-            iou: least bird's-eye IoU of a true positive.
             among: (N,) true boxes to count; detections of the others count neither way. None for all.
             asked: (D,) detections whose false positives count. None for all.
         """

@@ -7,12 +7,12 @@ from dsrc.data.drives import Drive
 from dsrc.data.sample import SampleDetector
 from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.ops.detections import Detections
-from dsrc.review.errors.changes import Changes, changes
+from dsrc.review.errors.changes import ObjectChanges, changes
 from dsrc.review.errors.filters import ErrorFilter
 from dsrc.review.errors.index import ErrorIndex
 from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.frames import LatestUsed, Recordings
-from dsrc.review.matching import Counts, RankedMatches, match
+from dsrc.review.matching import Counts, RankedMatches, ranked_matches
 from dsrc.review.sources.base import DetectionSet, Setup, Source
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import ReviewState
@@ -39,7 +39,7 @@ class FrameDetections:
     def at(self, iou: float) -> RankedMatches:
         """Matches at an IoU, cached."""
         if iou not in self.matches:
-            self.matches[iou] = match(self.detections, self.truth, iou)
+            self.matches[iou] = ranked_matches(self.detections, self.truth, iou)
         return self.matches[iou]
 
 
@@ -50,7 +50,6 @@ class Judgements(Recordings):
         """Judge sources or drives.
 
         Args:
-            sources: sources, or drives as they are.
             detector: gives all sources a set named `DETECTOR`.
 
         Raises:
@@ -91,7 +90,7 @@ class Judgements(Recordings):
         """Errors of the run under a state, of all its methods, in the frames whose detections are known."""
         return ErrorIndex([self._run(state.drive, name, self.setup(state)) for name in self._asked(state)])
 
-    def changes(self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None) -> Changes:
+    def changes(self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None) -> ObjectChanges:
         """What changes from one state to another of the same drive: a corruption, a method, cooperation.
 
         Args:
@@ -141,7 +140,6 @@ class Judgements(Recordings):
         return f"{condition.label}: no such agent in this frame, its sweeps are as recorded."
 
     def _notice(self, state: ReviewState, method: str) -> str:
-        """Explanation of missing detections."""
         if not method:
             return ""
         condition = self.setup(state).condition
@@ -163,8 +161,8 @@ class Judgements(Recordings):
         """Detections of a set in a frame, computed where they can be; None where they are unknown."""
         own, setup = self.sources[state.drive].sets[method], self.setup(state)
         key: Hashable = (state.drive, state.frame, method, setup)
-        if key in self._judged:
-            return self._judged.get(key, _unexpected)
+        if (known := self._judged.find(key)) is not None:
+            return known
         table = self._table(own, state, setup)
         if table is None:
             return None
@@ -177,7 +175,3 @@ class Judgements(Recordings):
             return table
         clean = self.stores[state.drive].recorded(state.frame)
         return own.compute(state.frame, clean, self._frame(state), setup)
-
-
-def _unexpected() -> FrameDetections:
-    raise KeyError("dropped by another thread")

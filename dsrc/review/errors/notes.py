@@ -184,7 +184,6 @@ def errors_csv(drive: str, errors: ErrorTable, notes: NoteBook | None = None) ->
 
     Args:
         drive: name of the source, as in the keys of the notes.
-        notes: on them; None for none.
     """
     seers = {value: name for name, value in SEERS.items()}
     boxes = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")

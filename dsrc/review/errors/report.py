@@ -93,7 +93,7 @@ def listed_errors(model: Judgements, state: ReviewState) -> ErrorTable:
     return missed[np.array([key in pairs for key in keys], bool)]
 
 
-def report(model: Judgements, state: ReviewState) -> RunReport:
+def run_report(model: Judgements, state: ReviewState) -> RunReport:
     """Report of the run under a state, as far as its detections are known.
 
     Raises:
@@ -224,7 +224,7 @@ class Reports:
         kept = self._known.get(key)
         if kept is not None and (kept[0] == counts or time.monotonic() < kept[1] + patience_s):
             return kept[2]
-        made = report(self._model, state)
+        made = run_report(self._model, state)
         self._known[key] = counts, time.monotonic(), made
         while len(self._known) > _REPORTS_KEPT:
             del self._known[next(iter(self._known))]

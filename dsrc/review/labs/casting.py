@@ -55,7 +55,6 @@ class DriveWorld:
 
         Args:
             index: of the frame, which draws the sensor's noise.
-            time_s: of the frame, s.
             carrier: id of a road user, with which the sensor moves; or (4, 4) world_from_body of something that stands.
 
         Raises:

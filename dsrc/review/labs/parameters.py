@@ -18,7 +18,7 @@ Value = bool | int | float | str
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class CorruptionParameter:
     """Field of the settings of a corruption.
 
     Attributes:
@@ -39,15 +39,13 @@ class Parameter:
 
 
 @lru_cache(maxsize=256)
-def parameters_of(kind: str, severity: int, family: Family = "physical") -> tuple[Parameter, ...]:
+def parameters_of(kind: str, severity: int, family: Family = "physical") -> tuple[CorruptionParameter, ...]:
     """Parameters of a corruption at a severity, first those that tell the severities apart; none for `clean`.
 
     A number reaches from its least value to twice that of the strongest severity, within the bounds of the settings.
     What the settings leave to the sensor (None) is left to it.
 
     Args:
-        kind: key of `CORRUPTIONS`, or `clean`.
-        severity: 1 to 5.
         family: of the settings; one without a model of the kind gives no parameters.
     """
     if kind == CLEAN or (family == "paper" and CORRUPTIONS[kind].paper_settings is None):
@@ -58,8 +56,8 @@ def parameters_of(kind: str, severity: int, family: Family = "physical") -> tupl
     if not isinstance(settings, msgspec.Struct):
         return ()
     limits = getattr(type(settings), "RANGES", {})
-    varying: list[Parameter] = []
-    steady: list[Parameter] = []
+    varying: list[CorruptionParameter] = []
+    steady: list[CorruptionParameter] = []
     for field in msgspec.structs.fields(settings):
         values = [getattr(level, field.name) for level in levels]
         made = _parameter(field.name, field.type, getattr(settings, field.name), values, limits.get(field.name))
@@ -70,17 +68,17 @@ def parameters_of(kind: str, severity: int, family: Family = "physical") -> tupl
 
 def _parameter(
     name: str, kind: Any, value: Any, levels: Sequence[Any], limits: tuple[float, float] | None
-) -> Parameter | None:
+) -> CorruptionParameter | None:
     """Parameter of a field; None for what is left to the sensor and for free text."""
     if isinstance(value, bool):
-        return Parameter(name, value, choices=(False, True))
+        return CorruptionParameter(name, value, choices=(False, True))
     if isinstance(value, int | float):
         low, high = _bounds([level for level in levels if level is not None], limits or (-math.inf, math.inf))
         whole = isinstance(value, int)
         step = max(1.0, _round_step(high - low)) if whole else _round_step(high - low)
-        return Parameter(name, value, low, high, step)
+        return CorruptionParameter(name, value, low, high, step)
     choices = _choices(kind)
-    return Parameter(name, value, choices=choices) if value in choices else None
+    return CorruptionParameter(name, value, choices=choices) if value in choices else None
 
 
 def _choices(kind: object) -> tuple[Value, ...]:
@@ -108,17 +106,16 @@ def _round_step(span: float) -> float:
     return power * next(factor for factor in (1, 2, 5, 10) if factor * power >= fine * (1.0 - 1e-9))
 
 
-def changed(changes: Changes, name: str, value: Value, known: Sequence[Parameter]) -> Changes:
+def changed(changes: Changes, name: str, value: Value, known: Sequence[CorruptionParameter]) -> Changes:
     """Changes with one more, in the order of the parameters; one with the severity's own value is dropped."""
     values = {**dict(changes), name: value}
     return tuple((one.name, values[one.name]) for one in known if values.get(one.name, one.value) != one.value)
 
 
-def parse_change(text: str, known: Sequence[Parameter], where: str) -> tuple[str, Value]:
+def parse_change(text: str, known: Sequence[CorruptionParameter], where: str) -> tuple[str, Value]:
     """Parameter and value of `name:value`.
 
     Args:
-        text: as above.
         where: begins the message of an error.
 
     Raises:

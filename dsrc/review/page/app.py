@@ -14,8 +14,7 @@ from dsrc.options.fields import takes_fields
 from dsrc.options.review import ServeOptions
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.cameras import overview
-from dsrc.review.page.cells.html import PAIR
-from dsrc.review.page.cells.pairs import Pair
+from dsrc.review.page.cells import PAIR, CellPair
 from dsrc.review.page.link import read_link
 from dsrc.review.page.scene import place_static, set_light, set_start_camera
 from dsrc.review.page.server import LOOPBACK, address, checked_port, link_of, start_server, stop_server
@@ -57,7 +56,7 @@ class ReviewApp:
         self._changed = threading.Condition()
         self._closed = False
         self._worlds: dict[int, str] = {}
-        self._pairs: dict[str, Pair] = {}
+        self._pairs: dict[str, CellPair] = {}
         set_light(server.scene)
         server.on_client_connect(self._open)
         server.on_client_disconnect(self._end)
@@ -104,7 +103,7 @@ class ReviewApp:
         name = dict(parse_qsl(link)).get(PAIR, "")
         if name:
             with self._changed:
-                pair = self._pairs.setdefault(name, Pair())
+                pair = self._pairs.setdefault(name, CellPair())
             session.pair = pair
             pair.add(session)
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import viser
 
-from dsrc.review.page.cells.html import OPEN_KEY
+from dsrc.review.page.cells import OPEN_KEY
 
 LINK_KEY = "review-link"
 """Key of the browser's storage under which the server writes the query that the address bar shows."""

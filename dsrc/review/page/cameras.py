@@ -37,10 +37,11 @@ class CameraPose:
         return CameraPose(turn @ self.position + shift, turn @ self.look_at + shift, self.up)
 
 
-def _heading(view: FrameView) -> tuple[NDArray[np.float64], float]:
-    """Position (3,) of the ego and its yaw, review frame."""
+def _heading(view: FrameView) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+    """Position (3,) of the ego, its yaw and the (3,) direction ahead, review frame."""
     body = view.ego.review_from_body
-    return body[:3, 3], float(pose_angles(body)[0])
+    yaw = float(pose_angles(body)[0])
+    return body[:3, 3], yaw, np.array([np.cos(yaw), np.sin(yaw), 0.0])
 
 
 def scene_from_review(camera: Camera, view: FrameView) -> NDArray[np.float64]:
@@ -51,14 +52,13 @@ def scene_from_review(camera: Camera, view: FrameView) -> NDArray[np.float64]:
     """
     if camera == "free":
         return np.eye(4)
-    place, yaw = _heading(view)
+    place, yaw, _ = _heading(view)
     return invert(np.asarray(pose_matrix(place, yaw if camera == "chase" else 0.0), np.float64))
 
 
 def chase(view: FrameView, distance_m: float = 34.0, height_m: float = 21.0, ahead_m: float = 14.0) -> CameraPose:
     """Pose behind and above the ego, looking ahead of it, review frame."""
-    place, yaw = _heading(view)
-    forward = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    place, _, forward = _heading(view)
     return CameraPose(place - distance_m * forward + height_m * UP, place + ahead_m * forward, UP)
 
 
@@ -67,15 +67,13 @@ def birds_eye(view: FrameView, height_m: float = 110.0) -> CameraPose:
 
     The viewer has perspective cameras that orbit about an up direction: a small tilt keeps that defined.
     """
-    place, yaw = _heading(view)
-    forward = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    place, _, forward = _heading(view)
     return CameraPose(place + height_m * UP - 0.02 * height_m * forward, place, UP)
 
 
 def overview(view: FrameView) -> CameraPose:
     """Pose of the start: high and to the side, with the cooperating agents in view, review frame."""
-    place, yaw = _heading(view)
-    forward = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    place, _, forward = _heading(view)
     agents = np.array([agent.review_from_body[:3, 3] for agent in view.agents])
     near = agents[np.linalg.norm((agents - place)[:, :2], axis=1) < 80.0]
     middle = 0.5 * (place + near.mean(axis=0))

@@ -123,10 +123,6 @@ def _take_next(control: Control, page: Page) -> None:
         page.update(**change_of(control, shown, next_value(control, shown)))
 
 
-def _select_nothing(page: Page) -> None:
-    page.update(object_id=None, detection=None)
-
-
 COMMANDS: tuple[Command, ...] = (
     Command("Play or pause", "space", lambda page: page.toggle_play()),
     Command("Next frame", "L", lambda page: page.step(1)),
@@ -149,7 +145,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("Camera: free", "F", lambda page: page.update(camera="free")),
     Command("Camera: to the selected box", "G", fly_to_selection),
     Command("Camera: reset", "R", lambda page: page.reset_camera()),
-    Command("Select nothing", "escape", _select_nothing),
+    Command("Select nothing", "escape", lambda page: page.update(object_id=None, detection=None)),
     Command("Points of all agents", "0", lambda page: show_only_agent(page, None)),
     *(
         Command(f"Points of agent {row + 1} alone", str(row + 1), partial(show_only_agent, row=row))

@@ -93,10 +93,6 @@ def _methods(shown: Shown) -> dict[str, Any]:
     return {**options, ", ".join(methods): methods} if len(methods) > 1 else options
 
 
-def _has_shares(shown: Shown) -> bool:
-    return shown.model.has_shares(shown.state.drive)
-
-
 def _several_methods(shown: Shown) -> bool:
     return len(shown.model.methods(shown.state.drive)) > 1
 
@@ -145,10 +141,6 @@ def _corruptible(shown: Shown) -> dict[str, Any]:
     )
 
 
-def _last_frame(shown: Shown) -> float:
-    return shown.model.frame_count(shown.state.drive) - 1
-
-
 def _corrupted(shown: Shown) -> bool:
     return shown.state.corruption != CLEAN
 
@@ -180,19 +172,12 @@ def _blamed(shown: Shown) -> dict[str, Any]:
     return {"all methods": "", **{name: name for name in names}}
 
 
-def _compares(shown: Shown) -> bool:
-    return len(shown.state.methods) > 1
-
-
-def _classes(_: Shown) -> dict[str, Any]:
-    return {"all": "", **{name: name for name in CLASSES}}
-
-
+_CLASSES = {"all": "", **{name: name for name in CLASSES}}
 _SEEN = {"anybody or none": "", "the ego": "ego", "helpers alone": "helper", "nobody": "nobody"}
 
 CONTROLS: tuple[Control, ...] = (
     Control("drive", Choice(_drives), "Drive", link="drive", shown=lambda s: len(s.model.names) > 1),
-    Control("frame", Slider(0, _last_frame, 1), "Frame", link="frame"),
+    Control("frame", Slider(0, lambda s: s.model.frame_count(s.state.drive) - 1, 1), "Frame", link="frame"),
     Control("speed", Choice(_named(SPEEDS)), "Speed", link="speed"),
     Control("camera", Choice(_named({"Free": "free", "Chase": "chase", "Bird's eye": "bev"})), "Camera", link="camera"),
     Control("object_id", Choice(_objects, closed=False), "Object", "Selection", link="object"),
@@ -220,8 +205,8 @@ CONTROLS: tuple[Control, ...] = (
     Control("hidden", None, link="hidden"),
     Control("listed", Choice(_listed), "List", "Errors", link="errors", shown=_detects),
     Control("versus", Choice(_versus), "Against", "Errors", link="against", shown=_several_runs),
-    Control("error_method", Choice(_blamed), "Of", "Errors", link="of", shown=_compares),
-    Control("error_class", Choice(_classes), "Class", "Errors", link="class", shown=_detects),
+    Control("error_method", Choice(_blamed), "Of", "Errors", link="of", shown=lambda s: len(s.state.methods) > 1),
+    Control("error_class", Choice(_named(_CLASSES)), "Class", "Errors", link="class", shown=_detects),
     Control("error_range", Choice(_same(*BANDS)), "Distance, m", "Errors", link="distance", shown=_detects),
     Control("error_seen_by", Choice(_named(_SEEN)), "Seen by", "Errors", link="seen", shown=_detects),
     Control("color_by", Choice(_same(*COLOR_BY)), "Points by", "Look", link="color", key="U"),
@@ -231,7 +216,7 @@ CONTROLS: tuple[Control, ...] = (
         "Boxes by",
         "Look",
         link="boxes",
-        shown=_has_shares,
+        shown=lambda s: s.model.has_shares(s.state.drive),
     ),
     Control("point_size_m", Slider(0.02, 0.5, 0.01), "Point size", "Look", link="size"),
     Control("max_points", Slider(2000, 120_000, 1000), "Points/agent", "Look", link="points"),

@@ -7,11 +7,7 @@ from urllib.parse import parse_qsl, quote
 
 import numpy as np
 
-from dsrc.review.labs.parameters import (
-    changed,
-    parameters_of,
-    parse_change,
-)
+from dsrc.review.labs.parameters import changed, parameters_of, parse_change
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
@@ -60,8 +56,6 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
     Without a frame, a source that grows is shown at its newest, and another drive than that of `state` at its first.
 
     Args:
-        query: of the page's address.
-        model: drives that the link is about.
         state: of a page without a link.
     """
     complaints: list[str] = []
@@ -177,8 +171,8 @@ def _parsed(control: Control, text: str) -> Any:
             return frozenset(map(int, items))
         if kind is bool:
             return {"0": False, "1": True}[text]
-        if control.field == "detection":
-            return _place(text)
+        if control.field == "detection" and int(text) < 0:  # ids may be negative, places in the order of scores not
+            raise ValueError
         if kind is type(None):
             return int(text)
         return kind(text)
@@ -186,13 +180,6 @@ def _parsed(control: Control, text: str) -> Any:
         expected = {bool: "0 or 1", float: "a number", frozenset: "whole numbers"}.get(kind, "a whole number")
         expected += ", at least 0" if control.field == "detection" else ""
         raise SettingsError(complaint("link", control.link, expected, text)) from None
-
-
-def _place(text: str) -> int:
-    """Place in the order of the scores; ids may be negative, places not."""
-    if (place := int(text)) < 0:
-        raise ValueError
-    return place
 
 
 def _pose(text: str) -> CameraPose:

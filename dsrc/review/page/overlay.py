@@ -87,10 +87,8 @@ def add_overlay(
     """Put the overlay into an exported page.
 
     Args:
-        title: its heading, and the document's.
         views: `frame_texts` of every frame.
         first: the first frame, for the agents and their colours.
-        interval_s: time between frames of the player, s.
     """
     data = {
         "frames": views,

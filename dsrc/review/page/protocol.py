@@ -13,9 +13,10 @@ from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import NoteBook
 from dsrc.review.errors.report import RunReport
 from dsrc.review.model import ReviewModel
+from dsrc.review.page.cameras import CameraPose
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
-from dsrc.review.worker import Progress, Worker
+from dsrc.review.worker import JobProgress, Worker
 from sensors.corruptions import Changes
 
 GoesOn = Callable[[float], bool]
@@ -87,7 +88,7 @@ class Page(Protocol):
     def detect_all(self) -> None:
         """Detect in the background, in all frames, what the report of the state lacks."""
 
-    def detecting(self) -> list[Progress]:
+    def detecting(self) -> list[JobProgress]:
         """Detections over the whole drive that have not ended."""
 
     def cancel(self) -> None:
@@ -110,6 +111,9 @@ class Page(Protocol):
 
     def fly_to(self, target: NDArray[np.float64]) -> None:
         """Move the camera near a point (3,) of the review frame, m."""
+
+    def look(self, pose: CameraPose) -> None:
+        """Set the camera to a pose in the scene, that of another cell."""
 
     def side_by_side(self) -> None:
         """Open two cells with linked cameras, or go back to one page from there."""

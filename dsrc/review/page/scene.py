@@ -17,7 +17,7 @@ from dsrc.review.shapes import (
     CUBE_VERTICES,
     crossed,
     dashed,
-    dashes,
+    dashed_lines,
     edges,
     polyline,
     quaternions,
@@ -152,8 +152,6 @@ class SceneWriter:
         """Draw nothing yet.
 
         Args:
-            scene: of a server or of one browser.
-            root: root node, "" for the top.
             point_step_m: round points to a grid of this step, which packs better; 0 keeps them.
             on_click: called with the object or detection that is clicked.
         """
@@ -193,7 +191,8 @@ class SceneWriter:
                 self._make_clickable(f"{name}/faces", _boxes_clicked(view, name))
         self._write_help(view)
         self._write_compared(view)
-        self._write_links(view)
+        self._frame("links").visible = "links" not in view.layers_off
+        self._lines("links/heard", view.linked.astype(np.float32), view.ego.rgb, 1.5)
         self._write_moment(view)
         self._frame("world").visible = "world" not in view.layers_off
 
@@ -239,7 +238,6 @@ class SceneWriter:
         node.visible = agent.visible and len(points) > 0
 
     def _write_lost(self, name: str, agent: AgentView, point_size_m: float) -> None:
-        """Draw what a corruption removed."""
         if len(agent.lost_points) == 0:
             self._hide(name)
             return
@@ -309,10 +307,6 @@ class SceneWriter:
         self._frame("helped").visible = "detections" not in view.layers_off
         self._helpers = helpers
 
-    def _write_links(self, view: FrameView) -> None:
-        self._frame("links").visible = "links" not in view.layers_off
-        self._lines("links/heard", view.linked.astype(np.float32), view.ego.rgb, 1.5)
-
     def _write_compared(self, view: FrameView) -> None:
         """Draw the boxes of further methods, each in its colour and a little around those of the others."""
         self._frame("compared").visible = "detections" not in view.layers_off
@@ -334,7 +328,7 @@ class SceneWriter:
         ground = view.ego.review_from_body[2, 3] + PLAN_M
         plan = moment.plan[:, :3] + [0.0, 0.0, PLAN_M]
         route = np.column_stack([moment.route, np.full(len(moment.route), ground)])
-        self._lines("plan/route", dashes(polyline(route), 1.0), palette.OTHER, 1.5)
+        self._lines("plan/route", dashed_lines(polyline(route), 1.0), palette.OTHER, 1.5)
         self._lines("plan/way", polyline(plan), view.ego.rgb, 7.0)
         decisive = moment.tracks.object_id == moment.decisive
         heading = np.column_stack([np.nan_to_num(moment.track_velocity), np.zeros(len(moment.tracks))])
@@ -346,7 +340,7 @@ class SceneWriter:
         line, heard = moment.links.line.astype(np.float32), moment.links.received
         placed = np.isfinite(line).all(axis=(1, 2))
         self._lines("links/received", line[placed & heard], view.ego.rgb, 2.0)
-        self._lines("links/lost", dashes(line[placed & ~heard], 1.5), palette.FP, 2.0)
+        self._lines("links/lost", dashed_lines(line[placed & ~heard], 1.5), palette.FP, 2.0)
         touched = view.truth[view.agent_of == 0] if moment.contact is not None else Boxes.zeros()
         self._lines("plan/contact", crossed(replace(touched, size=touched.size + 0.5)), palette.FP, 8.0)
 
@@ -402,7 +396,6 @@ class SceneWriter:
         node.visible = True
 
     def _hide(self, name: str) -> None:
-        """Hide a node that may not be there."""
         if name in self._nodes:
             self._nodes[name].visible = False
 

@@ -17,7 +17,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from dsrc.review.page.browser import HEAD
-from dsrc.review.page.cells.html import HTML, PATH
+from dsrc.review.page.cells import HTML, PATH
 from sim.errors import SettingsError, complaint
 
 LOOPBACK = "127.0.0.1"
@@ -34,24 +34,8 @@ def free_port(host: str = LOOPBACK) -> int:
         return int(probe.getsockname()[1])
 
 
-def check_port(host: str, port: int) -> None:
-    """Raise SettingsError for a port in use; viser would silently take the next one."""
-    if not 1 <= port <= 65535:
-        raise SettingsError(complaint("view", "port", "1 to 65535", port))
-    with socket.socket() as probe:
-        # As servers do: a port in TIME_WAIT is free.
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise SettingsError(
-                complaint("view", "port", f"a free port of {host}", f"{port} ({reason})", "; leave --port out")
-            ) from None
-
-
 def checked_port(host: str = LOOPBACK, port: int | None = None) -> int:
-    """Return the port, a free one for None.
+    """Return the port, a free one for None; viser would silently take the next of one in use.
 
     Raises:
         SettingsError: the port is taken, or `host` is not an address of this machine.
@@ -60,7 +44,18 @@ def checked_port(host: str = LOOPBACK, port: int | None = None) -> int:
         wanted = free_port(host) if port is None else port
     except OSError as error:
         raise SettingsError(complaint("view", "host", "an address of this machine", f"{host} ({error})")) from None
-    check_port(host, wanted)
+    if not 1 <= wanted <= 65535:
+        raise SettingsError(complaint("view", "port", "1 to 65535", wanted))
+    with socket.socket() as probe:
+        # As servers do: a port in TIME_WAIT is free.
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, wanted))
+        except OSError as error:
+            found = f"{wanted} ({error.strerror or error})"
+            raise SettingsError(
+                complaint("view", "port", f"a free port of {host}", found, "; leave --port out")
+            ) from None
     return wanted
 
 

@@ -17,8 +17,7 @@ from dsrc.review.errors.report import Reports, RunReport, place_of, selection_of
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.browser import AddressBar
 from dsrc.review.page.cameras import BrowserCamera, CameraPose
-from dsrc.review.page.cells.html import OPEN_KEY, compare_address
-from dsrc.review.page.cells.pairs import Pair, cells_of
+from dsrc.review.page.cells import OPEN_KEY, CellPair, cells_of, compare_address
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
 from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
@@ -28,7 +27,7 @@ from dsrc.review.page.stage import Stage, root_of
 from dsrc.review.state import Camera, ReviewState, with_changes
 from dsrc.review.texts import quoted
 from dsrc.review.view import FrameView
-from dsrc.review.worker import Progress, Worker
+from dsrc.review.worker import JobProgress, Worker
 from sensors.corruptions import CLEAN
 from sim.errors import UserError
 
@@ -53,21 +52,9 @@ class Session:
     Callbacks of viser run in a pool of threads and only replace the state. One worker thread draws the newest state
     and skips older ones.
 
-    Attributes:
-        model: drives, detector and caches.
+    Attributes: those of `Page`, and
         client: the browser; a server does in its place.
-        gui: controls of this browser.
-        scene: nodes of this browser.
-        state: newest settings.
-        view: last drawn frame, None before the first.
-        last_corruption: last corruption other than `clean`, "" before the first.
-        last_parameters: its parameters that differed from those of the severity.
-        using_model: to be held while the model is asked.
-        worker: detects over whole runs in the background.
-        notes: on the errors, None where they cannot be kept.
-        camera: of this browser.
-        stage: scene of this browser.
-        address: of this browser, which shows what is drawn.
+        camera, stage, address: of this browser; the address shows what is drawn.
         pair: cells side by side that this one belongs to, None for a page of its own.
     """
 
@@ -98,7 +85,7 @@ class Session:
         self.last_parameters = state.parameters
         self.using_model, self.worker, self.notes = using_model, worker, model.notes
         self._reports = Reports(model)
-        self.pair: Pair | None = None
+        self.pair: CellPair | None = None
         self._refresh_at, self._busy = 0.0, False
         self._seen_frames = model.frame_count(state.drive)
         self._place_world, self._placed = place_world, -1
@@ -207,7 +194,7 @@ class Session:
         for job in self.detecting():
             self.worker.cancel(job.number)
 
-    def detecting(self) -> list[Progress]:
+    def detecting(self) -> list[JobProgress]:
         """Detections over the whole drive that have not ended."""
         store = self.model.stores[self.state.drive]
         return [job for job in self.worker.jobs() if not job.ended and job.store is store]

@@ -1,18 +1,19 @@
-"""Source and DetectionSet: what a review page reads frames and detections from, whatever recorded them."""
+"""Source and DetectionSet: what a review page reads frames and detections from; DriveSource, that of a drive."""
 
 import contextlib
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.drives import Drive
 from dsrc.evaluation.detection_table import DetectionTable, join_tables
 from sensors.corruptions import Condition
 from sensors.frame import Frame
-from sim.errors import UserError
+from sim.errors import DataError, UserError, complaint
 
 Kind = Literal["drive", "episode", "live"]
 
@@ -99,12 +100,7 @@ class Source(Protocol):
 
 
 class MemorySet:
-    """Set of detections in memory, filled frame by frame; threads may fill and read it at once.
-
-    Attributes:
-        name: of the method, as shown.
-        recorded: True for what cannot be computed here.
-    """
+    """Set of detections in memory, filled frame by frame; threads may fill and read it at once. See `DetectionSet`."""
 
     def __init__(self, name: str, recorded: bool = True) -> None:
         self.name, self.recorded = name, recorded
@@ -165,14 +161,44 @@ class MemorySet:
         return joined
 
 
-def has_labels(read: Callable[[int], Frame], count: int) -> bool:
-    """Whether the first, middle or last readable frame has any object.
+class DriveSource:
+    """Frames of a drive.
 
-    Args:
-        read: function from a row to its frame.
+    Attributes: those of `Source`, and
+        drive: the drive.
+
+    Raises:
+        DataError: the drive has no frame.
     """
-    for row in sorted({0, count // 2, count - 1} & set(range(count))):
-        with contextlib.suppress(UserError):
-            if len(read(row).truth):
-                return True
-    return False
+
+    kind: Kind = "drive"
+
+    def __init__(self, drive: Drive, seed: int = SEED) -> None:
+        if len(drive.frames) == 0:
+            raise DataError(complaint(drive.drive, "frames", "at least one frame", "none"))
+        self.drive, self.seed = drive, seed
+        self.name = drive.drive.name
+        self.protocol: Mapping[str, Any] = getattr(drive, "protocol", {})
+        self.sets: dict[str, DetectionSet] = {}
+        self._labelled: bool | None = None
+
+    def __len__(self) -> int:
+        return len(self.drive.frames)
+
+    def read(self, row: int) -> Frame:
+        """Return a frame as recorded; raises DataError where it is damaged."""
+        frame = self.drive.read(row)
+        if len(frame.truth):
+            self._labelled = True
+        return frame
+
+    @property
+    def labelled(self) -> bool:
+        """Whether a frame that was read has any object, or the first, middle or last readable one."""
+        if self._labelled is None:
+            self._labelled = False
+            for row in (0, len(self) // 2, len(self) - 1):
+                with contextlib.suppress(UserError):
+                    if len(self.read(row).truth):
+                        break
+        return self._labelled

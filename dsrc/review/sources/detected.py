@@ -14,13 +14,7 @@ from sensors.frame import Frame
 class ComputedSet(MemorySet):
     """Detections of a detector in the frames of a source, by the protocol of `dsrc evaluate`; see `DetectionSet`.
 
-    Attributes:
-        name: of the method, as shown.
-        recorded: False.
-        detector: the detector.
-
     Args:
-        name: of the method, as shown.
         detector: the detector; one frame at a time.
     """
 

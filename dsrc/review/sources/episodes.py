@@ -1,7 +1,6 @@
 """EpisodeSource: an episode of the closed loop, recorded or running: what its ego saw, believed and planned."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -39,12 +38,8 @@ class EpisodeSource:
 
     Agents have points where sweeps are handed over, in the latest frames.
 
-    Attributes:
-        name: as shown.
-        kind: `episode`.
+    Attributes: those of `Source`, and
         protocol: names the scenario, see `place`; empty before that.
-        seed: of the corruptions.
-        labelled: True.
         sets: `PERCEPTS` and `TRACKS`.
         ended: whether no more steps come.
     """
@@ -131,7 +126,7 @@ class EpisodeSource:
         claims = list(tick.claims.items())
         return EpisodeMoment(
             time_s=tick.ego.time_s,
-            plan=plan_of(tick.ego, tick.decision.acceleration_mps2),
+            plan=planned_way(tick.ego, tick.decision.acceleration_mps2),
             route=tick.ego.route,
             percept_age_s=np.nan if newest is None else tick.ego.time_s - newest.time_s,
             tracks=tick.tracks.boxes,
@@ -188,12 +183,7 @@ def episode_source(log: EpisodeLog) -> EpisodeSource:
     return source
 
 
-def open_episode(path: Path) -> EpisodeSource:
-    """Open an episode log; raises DataError where it is missing, damaged or no episode log."""
-    return episode_source(EpisodeLog.load(path))
-
-
-def plan_of(ego: EgoState, acceleration_mps2: float) -> NDArray[np.float64]:
+def planned_way(ego: EgoState, acceleration_mps2: float) -> NDArray[np.float64]:
     """(K, 4) x, y, z, m, and speed, m/s, of the ego on its route under a constant acceleration, until it stands.
 
     Args:

@@ -17,12 +17,7 @@ KEPT = 300
 class LiveSource:
     """Frames as they come; rows count from the first frame ever, and old ones are dropped.
 
-    Attributes:
-        name: as shown.
-        kind: `live`.
-        protocol: of the drive that is made; empty without one.
-        seed: of the corruptions.
-        sets: sets of detections by name.
+    Attributes: those of `Source`, and
         ended: whether no more frames come.
 
     Args:

@@ -9,11 +9,9 @@ from dsrc.data.sample import SampleDetector
 from dsrc.evaluation.config import named
 from dsrc.evaluation.sharing.stored import FILE as SHARES
 from dsrc.evaluation.stored import FILE, has_index
-from dsrc.review.sources.base import Source
+from dsrc.review.sources.base import DriveSource, Source
 from dsrc.review.sources.detected import ComputedSet
-from dsrc.review.sources.drives import DriveSource
-from dsrc.review.sources.results import open_results
-from dsrc.review.sources.shares import open_shares
+from dsrc.review.sources.results import open_results, open_shares
 from sim.errors import DataError, SettingsError, complaint
 
 
@@ -52,9 +50,10 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
     logs = [path] if path.suffix == ".npz" else _logs(path)
     if logs:
         # The closed loop takes a second to import.
-        from dsrc.review.sources.episodes import open_episode
+        from dsrc.closed_loop.log import EpisodeLog
+        from dsrc.review.sources.episodes import episode_source
 
-        return [open_episode(log) for log in logs]
+        return [episode_source(EpisodeLog.load(log)) for log in logs]
     return [DriveSource(drive) for drive in open_drives(path)]
 
 

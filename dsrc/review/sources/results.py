@@ -1,4 +1,4 @@
-"""Stored sets: detections that `dsrc evaluate` or `dsrc benchmark` left in a folder, read when they are asked for."""
+"""Drives with what `dsrc evaluate`, `dsrc benchmark` or `dsrc shares` left in a folder: detections, and who helped."""
 
 import threading
 from collections.abc import Mapping, Sequence
@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, list_drives, open_drive
 from dsrc.evaluation.detection_table import DetectionTable, join_tables
-from dsrc.evaluation.stored import FILE, StoredDrive, StoredIndex, StoredRun, read_index, read_run, run_names
-from dsrc.review.sources.base import Setup
-from dsrc.review.sources.drives import DriveSource
+from dsrc.evaluation.sharing.stored import FILE as SHARES
+from dsrc.evaluation.sharing.stored import SharedFrame, StoredShares, read_shares
+from dsrc.evaluation.stored import FILE, StoredDrive, StoredRun, read_index, read_run, run_names
+from dsrc.review.sources.base import DriveSource, Setup
 from sensors.corruptions import Condition
 from sim.errors import DataError, complaint
 
@@ -19,14 +20,11 @@ from sim.errors import DataError, complaint
 class StoredSet:
     """Stored detections of one method in a drive; see `DetectionSet`.
 
-    Attributes:
-        name: of the method, as shown.
-        recorded: True.
+    Attributes: those of `DetectionSet`, and
         runs: by condition.
 
     Args:
         number: row of the drive in the index.
-        runs: of the method, by condition.
     """
 
     recorded = True
@@ -89,7 +87,6 @@ def open_results(folder: Path, data: Path | None = None) -> list[DriveSource]:
     """Open the drives of a folder of results, with a stored set for each method.
 
     Args:
-        folder: of `dsrc evaluate` or `dsrc benchmark`.
         data: drives or folder of drives, where they are now; None for where they were.
 
     Raises:
@@ -102,8 +99,11 @@ def open_results(folder: Path, data: Path | None = None) -> list[DriveSource]:
     sources = []
     for number, stored in enumerate(index.drives):
         source = DriveSource(stored_drive(folder / FILE, stored, moved), index.seed)
-        names = run_names(index.runs)
-        for name, runs in _by_name(index, number, names).items():
+        by_name: dict[str, dict[Condition, StoredRun]] = {}
+        for name, run in zip(run_names(index.runs), index.runs, strict=True):
+            if run.cells[number]:
+                by_name.setdefault(name, {})[run.condition] = run
+        for name, runs in by_name.items():
             source.sets[name] = StoredSet(name, folder, source.drive, number, runs)
         sources.append(source)
     return sources
@@ -113,7 +113,6 @@ def stored_drive(index: Path, stored: StoredDrive, moved: Mapping[str, Path]) ->
     """Open a drive of results.
 
     Args:
-        index: file that names the drive.
         moved: where drives are now, by name.
 
     Raises:
@@ -130,10 +129,44 @@ def stored_drive(index: Path, stored: StoredDrive, moved: Mapping[str, Path]) ->
     return drive
 
 
-def _by_name(index: StoredIndex, number: int, names: Sequence[str]) -> dict[str, dict[Condition, StoredRun]]:
-    """Runs with cells of a drive, by name of their set and condition."""
-    found: dict[str, dict[Condition, StoredRun]] = {}
-    for name, run in zip(names, index.runs, strict=True):
-        if run.cells[number]:
-            found.setdefault(name, {})[run.condition] = run
-    return found
+class SharedSource(DriveSource):
+    """Frames of a drive, and the shares of the agents in them."""
+
+    def __init__(self, drive: Drive, stored: StoredShares) -> None:
+        super().__init__(drive, stored.seed)
+        rows = {number: row for row, number in enumerate(drive.frames)}
+        self._shares: dict[tuple[Condition, int], SharedFrame] = {
+            (stored.condition(frame.condition), rows[frame.frame]): frame
+            for frame in stored.frames
+            if frame.drive == self.name and frame.frame in rows
+        }
+
+    def shares(self, row: int, setup: Setup) -> SharedFrame | None:
+        """Return the shares in a frame; None where they are unknown, or those of another ego."""
+        found = self._shares.get((setup.condition, row))
+        return None if found is None or setup.ego_id not in (None, found.ego_id) else found
+
+    def shared(self, setup: Setup) -> str:
+        """Say where there are shares, for a frame without them."""
+        here = sorted(row for condition, row in self._shares if condition == setup.condition)
+        if here:
+            return f"No shares in this frame of this ego; the first with some is in row {here[0]}."
+        known = ", ".join(dict.fromkeys(condition.label for condition, _ in self._shares))
+        return f"No shares in {setup.condition.label}; there are in {known or 'no frame'}."
+
+
+def open_shares(folder: Path, data: Path | None = None) -> Sequence[SharedSource]:
+    """Open the drives of a folder of `dsrc shares`.
+
+    Args:
+        data: drives or folder of drives, where they are now; None for where they were.
+
+    Raises:
+        DataError: the folder's file or a drive is missing or damaged, or a drive is not the one that was looked at.
+    """
+    stored = read_shares(folder)
+    names = [drive.name for drive in stored.drives]
+    if not names or len(set(names)) < len(names):
+        raise DataError(complaint(folder / SHARES, "drives", "names that differ", ", ".join(names) or "none"))
+    moved = {path.name: path for path in list_drives(data)} if data is not None else {}
+    return [SharedSource(stored_drive(folder / SHARES, drive, moved), stored) for drive in stored.drives]

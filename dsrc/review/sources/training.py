@@ -10,32 +10,20 @@ from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.sample import SampleDetector
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_student
+from dsrc.review.sources.base import DriveSource
 from dsrc.review.sources.detected import ComputedSet
-from dsrc.review.sources.drives import DriveSource
 from dsrc.training.recipes import Recipe, Stage, of_today
-from dsrc.training.run_folder import RunFolder
+from dsrc.training.run_folder import Record, RunFolder
 from sim.errors import CheckpointError, DataError, complaint
 
 NEWEST = "newest weights"
 """Name of the set of detections."""
 
 
-class _Settings(msgspec.Struct):
-    recipe: dict[str, Any]
-    stage: Stage
-
-
-class _Record(msgspec.Struct):
-    settings: _Settings
-    validation: dict[str, str] | None = None
-    folders: dict[str, str | None] = {}
-
-
 def open_training(run: Path, data: Path | None = None) -> list[DriveSource]:
     """Open the validation drives of a training.
 
     Args:
-        run: run folder of one stage.
         data: folder of the drives now; None for where they were.
 
     Raises:
@@ -44,7 +32,7 @@ def open_training(run: Path, data: Path | None = None) -> list[DriveSource]:
     """
     folder = RunFolder(run)
     try:
-        record = msgspec.json.decode(folder.settings.read_bytes(), type=_Record)
+        record = msgspec.json.decode(folder.settings.read_bytes(), type=Record)
         recipe = msgspec.convert(of_today(record.settings.recipe), Recipe)
     except (msgspec.DecodeError, KeyError, TypeError) as error:
         raise DataError(complaint(folder.settings, "file", "the settings of a training", str(error))) from None

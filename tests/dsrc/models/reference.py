@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.names import renamed_state
 from dsrc.ops.grid import GridSpec
 from tests.paths import ROOT
 
@@ -75,3 +76,16 @@ def close(found: torch.Tensor, expected: NDArray, tolerance: float = 3e-5) -> No
     assert found.shape == expected.shape
     worst = np.abs(found - expected).max()
     assert worst <= tolerance * np.abs(expected).max(), f"off by {worst / np.abs(expected).max():.2e}"
+
+
+_RECONSTRUCTION = (
+    (r"pcr\.out_conv\.(.*)", r"expand.\1"),
+    (r"pcr\.generator_1\.(.*)", r"generate.\1"),
+    (r"pcr\.gen_out_4\.0\.(.*)", r"offset.\1"),
+    (r"pcr\.gen_mask_4\.0\.(.*)", r"occupancy.\1"),
+)
+
+
+def reconstruction_state(reference: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Rename the reference's tensors to those of a `Reconstruction`."""
+    return renamed_state(reference, _RECONSTRUCTION)

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.channel import Receiver, payload_of, snapshot_of
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
 from sim.geometry import invert
@@ -109,7 +109,7 @@ def test_lost_packets_are_holes_in_the_features() -> None:
     none, everything = np.zeros((height, width), bool), np.ones((height, width), bool)
     alone = make_sample(FRAMES[0], 1000, GRID, cooperative=False)
 
-    def stages(part: Sample) -> Output:
+    def stages(part: Sample) -> NetworkOutput:
         from dsrc.models.inputs.batch import collate
 
         batch = collate([part], SMALL, training=False)

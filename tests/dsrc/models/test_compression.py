@@ -8,8 +8,8 @@ from msgspec.structs import replace
 from torch import Tensor
 
 from dsrc.models.channel import payload_of
-from dsrc.models.compression import best_tiles, reduced, rounded, tiles, tiles_sent
-from dsrc.models.detector import Detector, Output
+from dsrc.models.compression import best_tiles, quantised, reduced, tiles, tiles_sent
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.layers.encoder import Pillars
 from dsrc.training.recipes import debug
@@ -24,7 +24,7 @@ def set_to(detector: Detector, **changes: Any) -> Detector:
     return detector
 
 
-def run(detector: Detector, pillars: Pillars, layout: AgentLayout = AgentLayout(AGENTS)) -> Output:  # noqa: B008 - it is not changed
+def run(detector: Detector, pillars: Pillars, layout: AgentLayout = AgentLayout(AGENTS)) -> NetworkOutput:  # noqa: B008 - it is not changed
     with torch.inference_mode():
         return detector(pillars, layout)
 
@@ -79,8 +79,8 @@ def test_who_hears_nothing_is_alone() -> None:
 def test_few_bits_err_by_half_a_step_at_most(bits: int, error: float) -> None:
     x = torch.randn(2, 3, 10, 10) * torch.tensor([0.01, 1.0, 100.0])[:, None, None]
     reach = x.amax((2, 3), keepdim=True) - x.amin((2, 3), keepdim=True)
-    assert ((rounded(x, bits) - x).abs() <= error * reach).all()
-    assert rounded(torch.zeros(1, 1, 2, 2), bits).tolist() == torch.zeros(1, 1, 2, 2).tolist()
+    assert ((quantised(x, bits) - x).abs() <= error * reach).all()
+    assert quantised(torch.zeros(1, 1, 2, 2), bits).tolist() == torch.zeros(1, 1, 2, 2).tolist()
 
 
 def test_all_tiles_in_full_are_what_they_were_and_training_has_everything() -> None:

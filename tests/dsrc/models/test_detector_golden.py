@@ -5,7 +5,7 @@ import torch
 
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import AgentLayout
-from dsrc.models.storage.reference_names import detector_state
+from dsrc.models.storage.names import detector_state
 from tests.dsrc.models.reference import close, golden, pillars, settings_of, state
 
 

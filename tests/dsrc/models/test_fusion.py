@@ -18,9 +18,8 @@ from dsrc.models.fusion.where2comm import Where2comm, gaussian
 from dsrc.models.layers.backbones import plain
 from dsrc.models.layers.blocks import upsample
 from dsrc.models.settings import ModelSettings
-from dsrc.models.storage.opencood_names import COBEVT, SAMPLER, V2VNET, V2XVIT
-from dsrc.models.storage.opencood_names import ERMVP as ERMVP_NAMES
-from dsrc.models.storage.reference_names import renamed_state
+from dsrc.models.storage.names import COBEVT, SAMPLER, V2VNET, V2XVIT, renamed_state
+from dsrc.models.storage.names import ERMVP as ERMVP_NAMES
 from tests.dsrc.models.reference import golden, matching, state
 from tests.dsrc.models.storage.test_deploy import AGENTS, a_detector, some_pillars
 from tests.dsrc.models.weights import stirred

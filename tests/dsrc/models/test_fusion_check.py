@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, AgentLayout, Fusion, register_fusion
-from dsrc.models.fusion.base import stacked
+from dsrc.models.fusion.base import stacked_maps
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion_check import check_fusion
 from dsrc.models.settings import ModelSettings
@@ -25,7 +25,7 @@ class MeanFusion(Fusion):
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         groups = layout.split(features)
-        return stacked([into_ego(group, layout, b).mean(0) for b, group in enumerate(groups)])
+        return stacked_maps([into_ego(group, layout, b).mean(0) for b, group in enumerate(groups)])
 
 
 class GatedFusion(MeanFusion):
@@ -70,18 +70,18 @@ class WrongShape(MeanFusion):
 
 class LastWins(MeanFusion):
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
-        return stacked([into_ego(group, layout, b)[-1] for b, group in enumerate(layout.split(features))])
+        return stacked_maps([into_ego(group, layout, b)[-1] for b, group in enumerate(layout.split(features))])
 
 
 class NeedsTwo(MeanFusion):
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         groups = [into_ego(group, layout, b) for b, group in enumerate(layout.split(features))]
-        return stacked([group[0] + group[1:].sum(0) / (len(group) - 1) for group in groups])
+        return stacked_maps([group[0] + group[1:].sum(0) / (len(group) - 1) for group in groups])
 
 
 class BlindToPoses(MeanFusion):
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
-        return stacked([group.amax(0) for group in layout.split(features)])
+        return stacked_maps([group.amax(0) for group in layout.split(features)])
 
 
 class Mixing(MeanFusion):

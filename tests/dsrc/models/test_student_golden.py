@@ -8,14 +8,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import scene_of
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import Reconstruction, SceneVoxels, reconstruction_losses
-from dsrc.models.storage.reference_names import detector_state, reconstruction_state
+from dsrc.models.storage.names import detector_state
 from dsrc.training.losses import detection_loss, distillation_losses, released
-from tests.dsrc.models.reference import close, golden, pillars, settings_of, state
+from tests.dsrc.models.reference import close, golden, pillars, reconstruction_state, settings_of, state
 
 AGENTS = (2, 1)
 
@@ -42,7 +42,7 @@ class Step:
         kd = distillation_losses(student, teacher, self.foreground, self.positive, AGENTS, released())
         return {"cls": cls, "reg": reg, "mask": mask, "offset": offset, **kd}
 
-    def _teacher_output(self) -> Output:
+    def _teacher_output(self) -> NetworkOutput:
         """Run the teacher; in training mode its pillar norm sees the objects' clouds in the same batch, as released."""
         net = self.nets["teacher"]
         features = net.encoder.features(self.objects_with_teacher)

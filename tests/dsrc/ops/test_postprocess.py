@@ -7,7 +7,7 @@ from dsrc.ops.anchors import anchor_grid
 from dsrc.ops.coding import REFERENCE_ORDER, encode
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
-from dsrc.ops.postprocess import PostSettings, candidates, decode_detections, select
+from dsrc.ops.postprocess import PostSettings, candidates, decode_detections, suppressed
 from sim.boxes import Boxes, concatenate
 from tests.paths import GOLDENS
 
@@ -53,10 +53,10 @@ def test_candidates_equal_the_released_ones() -> None:
 def test_late_fusion_equals_the_released_one() -> None:
     own = candidates(*golden_maps(), ANCHORS, 0.25)
     rolled = candidates(*(np.roll(m, 3, axis=2) for m in golden_maps()), ANCHORS, 0.25)
-    moved = select(own[0].transform(GOLDEN["T"]), own[1], RELEASED)
+    moved = suppressed(own[0].transform(GOLDEN["T"]), own[1], RELEASED)
     assert_same_moved_boxes(moved, GOLDEN["final_corners_T"], GOLDEN["final_scores_T"])
     both = concatenate([own[0], rolled[0].transform(GOLDEN["T"])])
-    fused = select(both, np.concatenate([own[1], rolled[1]]), RELEASED)
+    fused = suppressed(both, np.concatenate([own[1], rolled[1]]), RELEASED)
     assert_same_moved_boxes(fused, GOLDEN["late_corners"], GOLDEN["late_scores"])
 
 
@@ -113,4 +113,4 @@ def test_a_box_with_nan_is_dropped() -> None:
 
 
 def test_selecting_from_nothing() -> None:
-    assert len(select(Boxes.zeros(), np.zeros(0, np.float32), RELEASED)) == 0
+    assert len(suppressed(Boxes.zeros(), np.zeros(0, np.float32), RELEASED)) == 0

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from dsrc.ops.detections import Detections
-from dsrc.review.matching import Counts, match
+from dsrc.review.matching import Counts, ranked_matches
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import birds_eye, chase, overview, scene_from_review
 from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
@@ -48,7 +48,7 @@ def test_a_quaternion_turns_about_z() -> None:
 def test_two_detections_of_one_object_are_one_tp_and_one_fp() -> None:
     truth = Boxes.from_array([[0.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0], [20.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]])
     twice = Detections(truth[np.array([0, 0])], np.array([0.8, 0.6], np.float32))
-    matches = match(twice, truth, 0.5)
+    matches = ranked_matches(twice, truth, 0.5)
     assert matches.tp.tolist() == [True, False]
     assert matches.counts(0.0) == Counts(1, 1, 1)
     assert matches.counts(0.7) == Counts(1, 0, 1)
@@ -59,7 +59,7 @@ def test_two_detections_of_one_object_are_one_tp_and_one_fp() -> None:
 @pytest.mark.parametrize("detections", [0, 2])
 @pytest.mark.parametrize("objects", [0, 2])
 def test_matching_takes_empty_sides(detections: int, objects: int) -> None:
-    matches = match(Detections(TURNED[:detections], np.ones(detections, np.float32)), TURNED[:objects], 0.5)
+    matches = ranked_matches(Detections(TURNED[:detections], np.ones(detections, np.float32)), TURNED[:objects], 0.5)
     found = min(detections, objects)
     assert matches.counts(0.0) == Counts(found, detections - found, objects - found)
 

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from dsrc.data.sample import make_sample
 from dsrc.evaluation.metrics.ap import FrameResult
 from dsrc.evaluation.metrics.heading_accuracy import heading_share
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import collate
 from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.ops.detections import Detections
@@ -24,7 +24,7 @@ SETTINGS = replace(tiny().model, direction=True, sdd=False, pcp=False, rec=False
 HEADINGS = np.radians([0, 40, 50, 90, 130, 140, 180, -170, -130, -90, -50, -40])
 
 
-def perfect(boxes: Boxes, *, sine_only: bool, direction: bool) -> Output:
+def perfect(boxes: Boxes, *, sine_only: bool, direction: bool) -> NetworkOutput:
     """The maps of a network that has learned its targets, or a heading only as well as its sine tells."""
     sample = replace_sample(make_sample(frame(0), 1000, SETTINGS.grid), boxes=boxes)
     targets = collate([sample], SETTINGS, training=True).targets
@@ -33,7 +33,7 @@ def perfect(boxes: Boxes, *, sine_only: bool, direction: bool) -> Output:
     if sine_only:
         reg[:, 6::7] = torch.atan(torch.tan(reg[:, 6::7]))
     cls = torch.where(targets.positive.permute(0, 3, 1, 2), 9.0, -9.0)
-    return Output((cls, cls, cls), cls, cls, reg, torch.where(against, 5.0, -5.0) if direction else None)
+    return NetworkOutput((cls, cls, cls), cls, cls, reg, torch.where(against, 5.0, -5.0) if direction else None)
 
 
 def cars(yaw: np.ndarray) -> Boxes:

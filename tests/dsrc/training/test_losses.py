@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dsrc.models.detector import Output
+from dsrc.models.detector import NetworkOutput
 from dsrc.training.losses import DistillSettings, detection_loss, distillation_losses, released
 from tests.dsrc.models.reference import golden
 
@@ -33,11 +33,11 @@ def test_a_sample_without_objects_has_no_box_loss() -> None:
 POSITIVE = torch.rand(2, 8, 8, 2, generator=torch.Generator().manual_seed(3)) > 0.9
 
 
-def outputs(seed: int) -> Output:
+def outputs(seed: int) -> NetworkOutput:
     make = torch.Generator().manual_seed(seed)
     stages = tuple(torch.randn(3, 4, 16 // 2**k, 16 // 2**k, generator=make) for k in (1, 2, 3))
     maps = [torch.randn(2, c, 8, 8, generator=make) for c in (6, 2, 14)]
-    return Output(stages, *maps)
+    return NetworkOutput(stages, *maps)
 
 
 @pytest.mark.parametrize("settings", [DistillSettings(), released()])
@@ -62,7 +62,9 @@ def test_the_distillation_after_prediction_is_counted_per_object_like_the_detect
     wrong[:, 0] = 1.0
     flat = torch.zeros(1, 2, 8, 8)
     stages = tuple(torch.zeros(1, 4, 16 // 2**k, 16 // 2**k) for k in (1, 2, 3))
-    teacher, student = (Output(stages, torch.zeros(1, 6, 8, 8), flat, reg) for reg in (torch.zeros_like(wrong), wrong))
+    teacher, student = (
+        NetworkOutput(stages, torch.zeros(1, 6, 8, 8), flat, reg) for reg in (torch.zeros_like(wrong), wrong)
+    )
     values = []
     for objects, cells in ((1, 8), (2, 8), (2, 16)):
         positive, foreground = torch.zeros(1, 8, 8, 2, dtype=torch.bool), torch.zeros(1, 16, 16, dtype=torch.bool)

@@ -15,14 +15,14 @@ from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.inputs.labels import LabelSettings, cells_in_boxes
 from dsrc.models.inputs.teacher import teacher_clouds
-from dsrc.models.storage.reference_names import detector_state, reconstruction_state
+from dsrc.models.storage.names import detector_state
 from dsrc.ops.coding import REFERENCE_ORDER
 from dsrc.ops.grid import GridSpec
 from dsrc.training.module import DetectionModule, RateCurve
 from dsrc.training.recipes import Recipe, dsrc_code, dsrc_paper
 from dsrc.training.train import train
 from sim.boxes import Boxes
-from tests.dsrc.models.reference import close, golden, state
+from tests.dsrc.models.reference import close, golden, reconstruction_state, state
 from tests.dsrc.training.drive import frame, write_drive
 from tests.dsrc.training.runs import Power, tiny
 

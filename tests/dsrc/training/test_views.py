@@ -7,7 +7,7 @@ import pytest
 import torch
 from msgspec.structs import replace
 
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import collate
 from dsrc.models.layers.encoder import Pillars
 from dsrc.training.datamodule import DetectionData
@@ -77,10 +77,10 @@ def same(one: Pillars, other: Pillars) -> bool:
     return one.points.shape == other.points.shape and torch.equal(one.points, other.points)
 
 
-def output(seed: int) -> Output:
+def output(seed: int) -> NetworkOutput:
     make = torch.Generator().manual_seed(seed)
     cls, reg = (torch.randn(2, channels, 4, 4, generator=make).requires_grad_() for channels in (2, 14))
-    return Output((cls, cls, cls), cls, cls, reg)
+    return NetworkOutput((cls, cls, cls), cls, cls, reg)
 
 
 def test_views_that_agree_cost_nothing_and_only_the_corrupted_one_is_moved() -> None:

@@ -166,7 +166,6 @@ def screenshot(
 
     Args:
         url_or_file: URL, or path of an HTML file.
-        size: width and height in pixels.
         settle_s: time for drawing once the canvas exists, s.
         pause: stop an exported page at its first frame: software rendering is slower than its player.
         script: JavaScript to run first, such as a click on a button.

@@ -1,17 +1,20 @@
-"""Panels of the page, one file each: what they show comes as `Shown`, what they change goes to `Page`."""
+"""Panels of the page: what they show comes as `Shown`, what they change goes to `Page`."""
 
 from collections.abc import Callable
 
-from dsrc.review.page.panels.agents import AgentsPanel
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
+from dsrc.review.page.panels.drawn import (
+    AgentsPanel,
+    DetectionsPanel,
+    LookPanel,
+    ReportPanel,
+    SelectionPanel,
+    TimelinePanel,
+)
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.page.panels.errors import ErrorsPanel
-from dsrc.review.page.panels.folders import DetectionsPanel, LookPanel
 from dsrc.review.page.panels.notes import NotesPanel
-from dsrc.review.page.panels.report import ReportPanel
-from dsrc.review.page.panels.selection import SelectionPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
-from dsrc.review.page.panels.timeline import TimelinePanel
 from dsrc.review.page.protocol import Page, Panel
 
 PANELS: tuple[Callable[[Page], Panel], ...] = (

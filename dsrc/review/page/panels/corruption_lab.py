@@ -4,8 +4,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from dsrc.review.labs.parameters import Parameter, changed, parameters_of
-from dsrc.review.page.panels.widgets import build_controls
+from dsrc.review.labs.parameters import CorruptionParameter, changed, parameters_of
+from dsrc.review.page.panels.widgets import build_controls, set_fields
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.state import IOU_THRESHOLDS, ReviewState
 from dsrc.review.texts import fates_table
@@ -19,14 +19,14 @@ _WHOLE_RUN: dict[str, Any] = {
 """Fields of a state whose scores are those of all objects."""
 
 
-def _known(state: ReviewState) -> tuple[Parameter, ...]:
+def _known(state: ReviewState) -> tuple[CorruptionParameter, ...]:
     return parameters_of(state.corruption, state.severity, state.family)
 
 
 class _BoundParameter:
     """Widget of one parameter: what a user sets changes the state, what the state is sets the widget."""
 
-    def __init__(self, parameter: Parameter, page: Page) -> None:
+    def __init__(self, parameter: CorruptionParameter, page: Page) -> None:
         self.name = parameter.name
         self._page = page
         self._written: Any = self
@@ -42,7 +42,7 @@ class _BoundParameter:
             )
         self.handle.on_update(self._take)
 
-    def show(self, parameter: Parameter, value: object) -> None:
+    def show(self, parameter: CorruptionParameter, value: object) -> None:
         """Set the widget to a value."""
         wanted = value if isinstance(value, bool) else str(value) if parameter.choices else _inside(parameter, value)
         if self.handle.value != wanted:
@@ -69,7 +69,7 @@ class _BoundParameter:
         self._page.update(parameters=changed(state.parameters, self.name, value, known))
 
 
-def _inside(parameter: Parameter, value: Any) -> float:
+def _inside(parameter: CorruptionParameter, value: Any) -> float:
     return min(max(value, parameter.low), parameter.high)
 
 
@@ -88,7 +88,7 @@ class CorruptionLabPanel:
             self.reset.on_click(lambda _: page.update(parameters=()))
             self.effects = page.gui.add_html("", visible=False)
             self.fates = page.gui.add_button("Colour points by their fate", visible=False)
-            self.fates.on_click(self._turn_fates)
+            self.fates.on_click(lambda _: page.update(color_by="agent" if page.state.color_by == "fate" else "fate"))
             self.scores = page.gui.add_markdown("", visible=False)
             self.detect = page.gui.add_button("AP over the drive", visible=False)
             self.detect.on_click(self._detect)
@@ -99,11 +99,11 @@ class CorruptionLabPanel:
             control.show(shown)
         self._show_parameters(shown.state)
         corrupted = shown.state.corruption != CLEAN
-        _set(self.effects, visible=corrupted and shown.view is not None)
+        set_fields(self.effects, visible=corrupted and shown.view is not None)
         if corrupted and shown.view is not None:
-            _set(self.effects, content=fates_table(shown.view))
+            set_fields(self.effects, content=fates_table(shown.view))
         other = "agent" if shown.state.color_by == "fate" else "fate"
-        _set(self.fates, visible=corrupted, label=f"Colour points by their {other}")
+        set_fields(self.fates, visible=corrupted, label=f"Colour points by their {other}")
         self._show_scores(shown)
 
     def _show_parameters(self, state: ReviewState) -> None:
@@ -119,17 +119,17 @@ class CorruptionLabPanel:
         values = dict(state.parameters)
         for parameter in known:
             self.parameters[parameter.name].show(parameter, values.get(parameter.name, parameter.value))
-        _set(self._folder, visible=bool(known))
-        _set(self.reset, visible=bool(values) and bool(known))
+        set_fields(self._folder, visible=bool(known))
+        set_fields(self.reset, visible=bool(values) and bool(known))
 
     def _show_scores(self, shown: Shown) -> None:
         """Write the AP of the judged method on clean and on corrupted sweeps, as far as its detections are known."""
         state = shown.state
         method = shown.model.method(state)
         judged = state.corruption != CLEAN and bool(method) and shown.model.labelled(state.drive)
-        _set(self.scores, visible=judged)
+        set_fields(self.scores, visible=judged)
         if not judged:
-            _set(self.detect, visible=False)
+            set_fields(self.detect, visible=False)
             return
         lacking, jobs = False, bool(self._page.detecting())
         patience = _PATIENCE_S if jobs or self._page.playing else 0.0
@@ -141,10 +141,10 @@ class CorruptionLabPanel:
             known = [f"{100 * run.curves[method, iou].ap:.1f}" if run.known else "–" for iou in IOU_THRESHOLDS]
             rows.append(f"| {title} | {' | '.join(known)} | {run.known} of {run.total} |")
         label = "Stop" if jobs else "AP over the drive"
-        _set(self.detect, visible=jobs or (lacking and shown.model.computes(state)), label=label)
+        set_fields(self.detect, visible=jobs or (lacking and shown.model.computes(state)), label=label)
         head = " | ".join(f"AP{100 * iou:.0f}" for iou in IOU_THRESHOLDS)
         table = "\n".join(rows)
-        _set(self.scores, content=f"| % | {head} | frames |\n|:--|{'--:|' * (len(IOU_THRESHOLDS) + 1)}\n{table}")
+        set_fields(self.scores, content=f"| % | {head} | frames |\n|:--|{'--:|' * (len(IOU_THRESHOLDS) + 1)}\n{table}")
 
     def _detect(self, _: object) -> None:
         if self._page.detecting():
@@ -153,13 +153,3 @@ class CorruptionLabPanel:
         # Against clean sweeps: these are detected in as well.
         self._page.update(versus="")
         self._page.detect_all()
-
-    def _turn_fates(self, _: object) -> None:
-        self._page.update(color_by="agent" if self._page.state.color_by == "fate" else "fate")
-
-
-def _set(handle: object, **values: object) -> None:
-    """Set the fields of a widget that differ."""
-    for name, value in values.items():
-        if getattr(handle, name) != value:
-            setattr(handle, name, value)

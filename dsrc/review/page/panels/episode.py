@@ -7,6 +7,7 @@ import numpy as np
 from viser import uplot
 
 from dsrc.review import palette
+from dsrc.review.page.panels.widgets import set_fields
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.palette import css
 from dsrc.review.sources.moment import RUNNING, EpisodeTimeline
@@ -36,8 +37,7 @@ class EpisodePanel:
         """Write the step, and mark it in the course."""
         view = shown.view
         moment = None if view is None else view.moment
-        if self.folder.visible != (moment is not None):
-            self.folder.visible = moment is not None
+        set_fields(self.folder, visible=moment is not None)
         if view is None or moment is None:
             return
         drive = shown.state.drive

@@ -11,12 +11,12 @@ from dsrc.review.errors.filters import KINDS
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import errors_csv
 from dsrc.review.errors.report import RunReport, curve_on_grid, shown_error
-from dsrc.review.page.panels.widgets import build_controls
+from dsrc.review.page.panels.widgets import build_controls, set_fields
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.palette import Rgb, css, curve_color
 from dsrc.review.state import IOU_THRESHOLDS, ReviewState, Theme
 from dsrc.review.texts import html_table, quoted
-from dsrc.review.worker import Progress
+from dsrc.review.worker import JobProgress
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
 
@@ -65,8 +65,7 @@ class ErrorsPanel:
     def show(self, shown: Shown) -> None:
         """Write list, scores and progress; a list that is only longer than shown is written again every two seconds."""
         judged = bool(shown.model.methods(shown.state.drive)) and shown.model.labelled(shown.state.drive)
-        if self.folder.visible != judged:
-            self.folder.visible = judged
+        set_fields(self.folder, visible=judged)
         if not judged:
             return
         for control in self.controls:
@@ -109,16 +108,15 @@ class ErrorsPanel:
             self.bar.value = 100.0 * sum(job.done for job in jobs) / max(sum(job.total for job in jobs), 1)
         lacking = report.known < report.total and shown.model.computes(shown.state)
         self.detect.visible = bool(jobs) or lacking
-        label = "Stop detecting" if jobs else "Detect in all frames"
-        if self.detect.label != label:
-            self.detect.label = label
+        set_fields(self.detect, label="Stop detecting" if jobs else "Detect in all frames")
 
     def _show_scores(self, state: ReviewState, report: RunReport) -> None:
         head = ("", *(f"AP{100 * iou:.0f}" for iou in IOU_THRESHOLDS), "TP", "FP", "FN")
         rows = []
         for name, c in report.counts.items():
-            precisions = [_number(report.curves[name, iou].ap) for iou in IOU_THRESHOLDS]
-            rows.append((name, *precisions, *map(str, (c.tp, c.fp, c.fn))))
+            precisions = [report.curves[name, iou].ap for iou in IOU_THRESHOLDS]
+            shown = ("–" if math.isnan(ap) else f"{ap:.2f}" for ap in precisions)
+            rows.append((name, *shown, *map(str, (c.tp, c.fp, c.fn))))
         self.scores.content = html_table(head, rows)
         self._draw_curves(state, report)
 
@@ -158,29 +156,24 @@ class ErrorsPanel:
     def _show_frames(self, report: RunReport) -> None:
         frames = report.frames
         worst = min(FRAMES, int(np.count_nonzero(frames.loss > 0.0)))
-        kinds = zip(frames.missed[:worst], frames.false[:worst], frames.poor[:worst], strict=True)
-        names = [f"{rank + 1}: frame {frames.row[rank]}, {_kinds(*counts)}" for rank, counts in enumerate(kinds)]
+        kinds = (("missed", frames.missed), ("false", frames.false), ("poor", frames.poor))
+        names = []
+        for rank in range(worst):
+            counts = ", ".join(f"{count[rank]} {name}" for name, count in kinds if count[rank])
+            names.append(f"{rank + 1}: frame {frames.row[rank]}, {counts}")
         options = (_NO_FRAME, *names)
-        if tuple(self.frames.options) != options:
-            self.frames.options = options
+        set_fields(self.frames, options=options)
 
     def _show_rows(self, state: ReviewState, report: RunReport) -> None:
         errors = report.errors
         chosen = shown_error(errors, state)
         for number, button in enumerate(self.rows):
             row = self._first + number
-            if button.visible != (row < len(errors)):
-                button.visible = row < len(errors)
-            if row >= len(errors):
-                continue
-            label, color = _title(errors, row, self._page), _CHOSEN if row == chosen else _OTHER[state.theme]
-            if button.label != label:
-                button.label = label
-            if button.color != color:
-                button.color = color
-        several = len(errors) > ROWS
-        if self.pages.visible != several:
-            self.pages.visible = several
+            set_fields(button, visible=row < len(errors))
+            if row < len(errors):
+                color = _CHOSEN if row == chosen else _OTHER[state.theme]
+                set_fields(button, label=_title(errors, row), color=color)
+        set_fields(self.pages, visible=len(errors) > ROWS)
         self.csv.disabled = len(errors) == 0
 
     def _open(self, number: int, _: object = None) -> None:
@@ -209,32 +202,23 @@ class ErrorsPanel:
         page.download("errors.csv", errors_csv(drive, self._report.errors, page.notes))
 
 
-def _title(errors: ErrorTable, row: int, page: Page) -> str:
+def _title(errors: ErrorTable, row: int) -> str:
     """Label of an error in the list: frame, kind and class, distance, points that are left."""
-    label = errors.label[row]
-    what = f"{KINDS[errors.kind[row]]} {CLASSES[label] if label >= 0 else 'object'}"
-    if KINDS[errors.kind[row]] == "false":
+    label, kind = errors.label[row], KINDS[errors.kind[row]]
+    what = f"{kind} {CLASSES[label] if label >= 0 else 'object'}"
+    if kind == "false":
         what = f"false {errors.score[row]:.2f}"
-    elif KINDS[errors.kind[row]] == "poor":
+    elif kind == "poor":
         what += f" {errors.iou[row]:.2f}"
     points = f", {errors.points[row, 3]} pts" if errors.points[row, 3] >= 0 else ""
     method = f", {errors.methods[errors.method[row]]}" if len(errors.methods) > 1 else ""
     return f"{errors.row[row]}: {what}, {errors.distance_m[row]:.0f} m{points}{method}"
 
 
-def _kinds(missed: int, false: int, poor: int) -> str:
-    parts = ((missed, "missed"), (false, "false"), (poor, "poor"))
-    return ", ".join(f"{count} {name}" for count, name in parts if count)
-
-
-def _running(jobs: list[Progress]) -> str:
+def _running(jobs: list[JobProgress]) -> str:
     if not jobs:
         return ""
     left = [job.left_s for job in jobs]
     known = [one for one in left if one is not None]
     wait = f", {math.ceil(sum(known))} s left" if len(known) == len(left) else ""
     return f" · detecting{wait}"
-
-
-def _number(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.2f}"

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from viser.transforms import SO3
 
-from dsrc.review.labs.latest import Latest
 from dsrc.review.labs.placement import Cast, Placement
-from dsrc.review.page.panels.widgets import build_controls
+from dsrc.review.page.panels.widgets import build_controls, set_fields
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.page.scene import place_frame
 from dsrc.review.palette import SENSOR
 from dsrc.review.points import subsample
 from dsrc.review.texts import quoted
 from dsrc.review.view import AgentView
+from dsrc.review.worker import Latest
 from sensors.presets import get_lidar
 from sensors.spec import LidarSpec
 from sim.errors import DataError, UserError, complaint
@@ -109,25 +109,23 @@ class SensorLabPanel:
         for control in self.controls:
             control.show(shown)
         for handle in (self.position, self.angles, self.usual, self.text):
-            if handle.visible != bool(shown.state.sensor):
-                handle.visible = bool(shown.state.sensor)
+            set_fields(handle, visible=bool(shown.state.sensor))
         wish = _wish(shown)
-        if self._root != self._page.root:
+        if wish is None or self._root != self._page.root:
             self._clear()
         if wish is None:
-            self._clear()
             return
         self._show_place(wish)
         if self._wish is None or self._wish.key != wish.key:
             self._wish = wish
             if self.text.content == "":
                 self.text.content = "Casting."
-            self._latest.ask(lambda: self._run(wish))
+            self._latest.submit(lambda: self._run(wish))
 
     def close(self) -> None:
         """Draw nothing any more: the browser is gone."""
         self._wish = None
-        self._latest.drop()
+        self._latest.cancel()
 
     def _show_place(self, wish: _Wish) -> None:
         place = wish.placement
@@ -226,7 +224,7 @@ class SensorLabPanel:
 
     def _clear(self) -> None:
         self._wish, self.cast, self._root = None, None, self._page.root
-        self._latest.drop()
+        self._latest.cancel()
         for name in ("cloud", "lidar", "gizmo"):
             if name in self._nodes:
                 self._nodes.pop(name).remove()

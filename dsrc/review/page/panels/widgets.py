@@ -55,9 +55,7 @@ class BoundControl:
         if handle.value != value:
             self._written = value
             handle.value = value
-        for name, wanted in (("visible", control.shown(shown)), ("disabled", not control.enabled(shown))):
-            if getattr(handle, name) != wanted:
-                setattr(handle, name, wanted)
+        set_fields(handle, visible=control.shown(shown), disabled=not control.enabled(shown))
 
     def _take(self, event: Any) -> None:
         value = event.target.value
@@ -76,6 +74,13 @@ class BoundControl:
             value = min(value, self.control.widget.upper(Shown(self._page.model, self._page.state)))
         shown = Shown(self._page.model, self._page.state, self._page.view)
         self._page.update(**change_of(self.control, shown, value))
+
+
+def set_fields(handle: object, **values: object) -> None:
+    """Set the fields of a widget that differ."""
+    for name, value in values.items():
+        if getattr(handle, name) != value:
+            setattr(handle, name, value)
 
 
 def build_controls(panel: str, page: Page) -> list[BoundControl]:

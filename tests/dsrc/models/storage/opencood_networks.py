@@ -13,8 +13,8 @@ from dsrc.models.fusion.cobevt import CoBEVT
 from dsrc.models.fusion.ermvp import ERMVP
 from dsrc.models.fusion.v2xvit import V2XViT
 from dsrc.models.layers.encoder import Pillars
-from dsrc.models.storage import opencood_names as names
-from dsrc.models.storage.reference_names import renamed_state
+from dsrc.models.storage import names
+from dsrc.models.storage.names import renamed_state
 
 PILLAR, STAGES, BLOCKS, DECODER, SHRINK, AGENTS = 8, (8, 16, 24), (1, 2, 1), (8, 12, 16), 32, 3
 RANGE_M = (-12.8, -6.4, -3.0, 12.8, 6.4, 1.0)

@@ -7,7 +7,7 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.data.sample import SampleRequest, make_sample
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import collate
 from dsrc.models.storage.checkpoint import load_detector, load_student, read_meta, save_detector, with_fusion
 from dsrc.training.recipes import debug, small
@@ -123,7 +123,7 @@ def test_settings_that_make_no_network_are_refused(tmp_path: Path, change: dict,
     assert word in refusal(path)
 
 
-def output_of(teacher: Detector, agents: int) -> Output:
+def output_of(teacher: Detector, agents: int) -> NetworkOutput:
     """Return what a teacher makes of the first agents of a frame with three."""
     sample = make_sample(
         frame(0, ground=300, per_car=60), None, SampleRequest(teacher.settings.grid, max_agents=agents)

@@ -8,17 +8,17 @@ import torch
 from msgspec.structs import replace
 
 from dsrc.__main__ import main
-from dsrc.models.detector import Detector, Output
+from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.storage.checkpoint import load_detector
 from dsrc.models.storage.deploy import deployed
-from dsrc.models.storage.import_opencood import Origin, import_opencood
+from dsrc.models.storage.import_opencood import PublishedTraining, import_opencood
 from dsrc.ops.coding import decode, in_half_turn
 from sim.errors import CheckpointError, SettingsError, UserError
 from tests.dsrc.models.storage.opencood_networks import AGENTS, RANGE_M, STAGES, network, said
 
-HERE = Origin(range_m=RANGE_M, max_agents=AGENTS)
+HERE = PublishedTraining(range_m=RANGE_M, max_agents=AGENTS)
 
 NETWORKS = {
     "early": ({}, 1),
@@ -49,7 +49,7 @@ def clouds(number: int = AGENTS) -> list[np.ndarray]:
     return [rng.uniform(low, high, (900, 4)).astype(np.float32) for _ in range(number)]
 
 
-def output_of(detector: Detector, method: str) -> Output:
+def output_of(detector: Detector, method: str) -> NetworkOutput:
     # Methods that detect in each cloud alone get one sample per cloud.
     layout = AgentLayout((1,) * AGENTS) if method in ("early", "late") else AgentLayout((AGENTS,))
     with torch.inference_mode():

@@ -40,7 +40,7 @@ STATE = ReviewState(threshold=0.3)
 
 
 def test_a_report_holds_every_error_of_every_frame(filled: ReviewModel) -> None:
-    report = run.report(filled, STATE)
+    report = run.run_report(filled, STATE)
     views = [filled.view(replace(STATE, frame=row)) for row in range(filled.frame_count(0))]
     counts = report.counts["detector"]
     assert (counts.tp, counts.fp, counts.fn) == tuple(
@@ -53,15 +53,15 @@ def test_a_report_holds_every_error_of_every_frame(filled: ReviewModel) -> None:
 
 
 def test_the_ap_follows_the_filters(filled: ReviewModel) -> None:
-    near = run.report(filled, replace(STATE, error_range="0-30"))
-    everything = run.report(filled, STATE)
+    near = run.run_report(filled, replace(STATE, error_range="0-30"))
+    everything = run.run_report(filled, STATE)
     assert near.counts["detector"].fn < everything.counts["detector"].fn
     assert near.curves["detector", 0.5].ap != everything.curves["detector", 0.5].ap
     assert (near.errors.distance_m <= 30.0).all() and len(near.errors) < len(everything.errors)
 
 
 def test_an_error_is_where_the_view_has_its_box(filled: ReviewModel) -> None:
-    report = run.report(filled, STATE)
+    report = run.run_report(filled, STATE)
     for kind in (FN, FP):
         row = int(np.flatnonzero(report.errors.kind == kind)[0])
         state = replace(STATE, **run.selection_of(report.errors, row))
@@ -75,7 +75,7 @@ def test_what_a_method_breaks_the_other_fixes(filled: ReviewModel) -> None:
     good, blind = (replace(STATE, methods=(name,)) for name in ("detector", "blind"))
     broken = run.listed_errors(filled, replace(blind, versus=f"{run.METHOD}detector", listed="broken"))
     fixed = run.listed_errors(filled, replace(good, versus=f"{run.METHOD}blind", listed="fixed"))
-    assert len(broken) == len(fixed) == run.report(filled, good).counts["detector"].tp
+    assert len(broken) == len(fixed) == run.run_report(filled, good).counts["detector"].tp
     pairs = [set(zip(e.row.tolist(), e.object_id.tolist(), strict=True)) for e in (broken, fixed)]
     assert pairs[0] == pairs[1]
     assert len(run.listed_errors(filled, replace(good, versus=f"{run.METHOD}blind", listed="broken"))) == 0
@@ -94,7 +94,7 @@ def test_frames_that_are_not_known_yet_are_named(model: ReviewModel) -> None:
     model.view(STATE), model.view(replace(STATE, frame=1))
     assert run.first_unknown(model, STATE, 1) == 2
     assert run.first_unknown(model, replace(STATE, frame=1), -1) is None
-    report = run.report(model, STATE)
+    report = run.run_report(model, STATE)
     assert (report.known, report.total) == (2, 12)
 
 
@@ -119,7 +119,7 @@ def test_a_report_is_of_the_agents_whose_sweeps_are_corrupted(model: ReviewModel
 
 
 def test_a_curve_on_a_grid_ends_where_the_detector_does(filled: ReviewModel) -> None:
-    curve = run.report(filled, replace(STATE, threshold=0.0)).curves["detector", 0.5]
+    curve = run.run_report(filled, replace(STATE, threshold=0.0)).curves["detector", 0.5]
     grid = np.linspace(0.0, 1.0, 101)
     precision = run.curve_on_grid(curve, grid)
     assert np.isnan(precision[grid > curve.recall[-1] + 1e-9]).all()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dsrc.review.labs.lost import lost_rows
+from dsrc.review.points import lost_rows
 from sensors.sweep import ADDED, MOVED, SCATTERED, Sweep, make_sweep
 from sim.rows import stacked
 

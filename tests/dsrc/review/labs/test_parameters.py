@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from dsrc.review.labs.parameters import Parameter, changed, parameters_of, parse_change
+from dsrc.review.labs.parameters import CorruptionParameter, changed, parameters_of, parse_change
 from dsrc.review.sources.detected import corrupted_frame
 from sensors.corruptions import CORRUPTIONS, FAMILIES, Condition
 from sensors.corruptions.registry import Family
@@ -13,7 +13,7 @@ from sim.errors import SettingsError
 MODELS = [(kind, family) for kind in CORRUPTIONS for family in FAMILIES if parameters_of(kind, 3, family)]
 
 
-def named(kind: str, severity: int = 3, family: Family = "physical") -> dict[str, Parameter]:
+def named(kind: str, severity: int = 3, family: Family = "physical") -> dict[str, CorruptionParameter]:
     return {parameter.name: parameter for parameter in parameters_of(kind, severity, family)}
 
 

@@ -8,7 +8,7 @@ import pytest
 from dsrc.review.errors.report import shown_error
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp, live_page
-from dsrc.review.page.cells.html import compare_address
+from dsrc.review.page.cells import compare_address
 from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.sources.live import LiveSource

@@ -8,7 +8,7 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
-from dsrc.review.sources.shares import SharedSource
+from dsrc.review.sources.results import SharedSource
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.page.test_browser import SIZE, Opened, shown
 from tests.dsrc.review.shared import shared_street

@@ -7,8 +7,8 @@ from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.commands import lay_over
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
+from dsrc.review.page.panels.drawn import ReportPanel
 from dsrc.review.page.panels.errors import ErrorsPanel
-from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.page.session import Session
 from dsrc.review.sources.detected import ComputedSet
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive

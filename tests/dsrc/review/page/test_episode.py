@@ -5,8 +5,8 @@ import pytest
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.panels.drawn import ReportPanel
 from dsrc.review.page.panels.episode import EpisodePanel
-from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.page.session import Session
 from dsrc.review.sources.episodes import episode_source
 from tests.dsrc.closed_loop.test_log import full_log

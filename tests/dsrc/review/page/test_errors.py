@@ -13,9 +13,9 @@ from dsrc.review.errors.notes import NoteBook
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS, go_to_error
+from dsrc.review.page.panels.drawn import ReportPanel
 from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.notes import NotesPanel
-from dsrc.review.page.panels.report import ReportPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from sim.errors import SettingsError

@@ -17,8 +17,8 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import toggle_corruption
 from dsrc.review.page.link import read_link, write_link
-from dsrc.review.page.panels.agents import AgentsPanel
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
+from dsrc.review.page.panels.drawn import AgentsPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session

@@ -10,10 +10,10 @@ import pytest
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.types import Percept, Tick
 from dsrc.review.errors.filters import FP
-from dsrc.review.errors.report import place_of, report
+from dsrc.review.errors.report import place_of, run_report
 from dsrc.review.model import ReviewModel
 from dsrc.review.sources.base import Setup
-from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, episode_source, open_episode, plan_of
+from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, episode_source, planned_way
 from dsrc.review.sources.opening import open_sources
 from dsrc.review.state import ReviewState
 from sensors.frame import AgentFrame, Frame
@@ -145,7 +145,7 @@ def test_detections_are_drawn_where_they_are_however_the_sensor_is_mounted(monke
         state = ReviewState(frame=row)
         place = ticks[row].percept.boxes.center + aside - model.origin(0)
         np.testing.assert_allclose(model.view(state).layers["detections/fp"].center, place, atol=1e-5)
-        errors = report(model, state).errors
+        errors = run_report(model, state).errors
         (ghost,) = np.flatnonzero((errors.row == row) & (errors.kind == FP))
         np.testing.assert_allclose(place_of(model, 0, errors, ghost), place[0], atol=1e-5)
 
@@ -171,19 +171,19 @@ def test_a_plan_follows_the_route_and_ends_where_the_ego_stands(log: EpisodeLog)
     from dataclasses import replace
 
     ego = replace(log.ticks[-1].ego, speed_mps=10.0, route=np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 100.0]]))
-    coasting, braking = plan_of(ego, 0.0), plan_of(ego, -5.0)
+    coasting, braking = planned_way(ego, 0.0), planned_way(ego, -5.0)
     np.testing.assert_allclose(coasting[-1], [20.0, 10.0, coasting[0, 2], 10.0], atol=1e-6)
     # v²/2a = 10 m.
     np.testing.assert_allclose(braking[-1, [0, 1]], [10.0, 0.0], atol=0.05)
     assert braking[-1, 3] == pytest.approx(0.0, abs=1e-9)
-    assert len(plan_of(replace(ego, route=np.zeros((0, 2))), 1.0)) == 1
+    assert len(planned_way(replace(ego, route=np.zeros((0, 2))), 1.0)) == 1
 
 
 def test_logs_open_by_file_and_by_folder(log: EpisodeLog, tmp_path: Path) -> None:
     log.save(tmp_path / "campaign/episodes/b.npz")
     log.save(tmp_path / "campaign/episodes/a.npz")
     assert len(open_sources(tmp_path / "campaign")) == len(open_sources(tmp_path / "campaign/episodes")) == 2
-    assert len(open_episode(tmp_path / "campaign/episodes/a.npz")) == len(log)
+    assert len(episode_source(EpisodeLog.load(tmp_path / "campaign/episodes/a.npz"))) == len(log)
     (opened,) = open_sources(tmp_path / "campaign/episodes/a.npz")
     assert opened.kind == "episode"
     np.savez(tmp_path / "other.npz", a=np.zeros(3))

@@ -16,7 +16,7 @@ from dsrc.review.page.controls import CONTROLS
 from dsrc.review.page.protocol import Shown
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.opening import open_sources
-from dsrc.review.sources.shares import SharedSource
+from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
 from dsrc.review.texts import legend, selection_report
 from dsrc.review.view import FALSE_NEGATIVES, OTHER_TRUTH, TRUE_POSITIVES

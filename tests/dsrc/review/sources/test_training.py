@@ -13,7 +13,7 @@ from torch import Tensor
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import save_detector
-from dsrc.review.sources.drives import DriveSource
+from dsrc.review.sources.base import DriveSource
 from dsrc.review.sources.opening import open_sources
 from dsrc.review.sources.training import NEWEST
 from dsrc.training.recipes import RECIPES
@@ -38,6 +38,9 @@ def run(tmp_path: Path) -> Path:
 def write_record(run: Path, drives: Path, validation: Sequence[str] = ("south", "north")) -> None:
     record = {
         "settings": {"recipe": msgspec.to_builtins(RECIPE), "stage": "student"},
+        "seed": 0,
+        "versions": {},
+        "data": {},
         "validation": dict.fromkeys(validation, "0" * 64) if validation else None,
         "folders": {"data": None, "validate": str(drives)},
     }

@@ -15,7 +15,7 @@ from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.output.export import export_html, export_states
 from dsrc.review.page.output.screenshot import STOP, find_chromium, open_page, screenshot
-from dsrc.review.sources.shares import SharedSource
+from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
 from sensors.frame import Frame
 from sim.boxes import Boxes

@@ -1,14 +1,26 @@
-"""Pair: two cells that show one moment from one camera; what makes them differ stays each one's own."""
+"""Two cells side by side that show one moment from one camera; what makes them differ stays each one's own.
+
+Cells are pages of one server in the frames of another page, `HTML`.
+"""
 
 import threading
 from collections import deque
 from dataclasses import fields, replace
-from typing import Any, Protocol
+from typing import Any
+from urllib.parse import quote
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import CameraPose
+from dsrc.review.page.protocol import Page
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, CORRUPTIONS
+
+PATH = "/compare"
+"""Path of the page; its query holds the links of both cells."""
+OPEN_KEY = "review-open"
+"""Key of the browser's storage under which the server writes an address to go to."""
+PAIR = "pair"
+"""Name in a cell's link of the pair that it belongs to."""
 
 _OWN = frozenset(
     {
@@ -29,23 +41,7 @@ _SHARED = tuple(field.name for field in fields(ReviewState) if field.name not in
 _REMEMBERED = 30
 
 
-class Cell(Protocol):
-    """Session of a cell.
-
-    Attributes:
-        state: newest settings.
-    """
-
-    state: ReviewState
-
-    def update(self, **changes: object) -> None:
-        """Replace fields of the state and draw it."""
-
-    def look(self, pose: CameraPose) -> None:
-        """Set the camera to a pose in the scene."""
-
-
-class Pair:
+class CellPair:
     """Cells that follow each other; threads share it.
 
     Attributes:
@@ -53,13 +49,13 @@ class Pair:
     """
 
     def __init__(self) -> None:
-        self.cells: list[Cell] = []
+        self.cells: list[Page] = []
         # What a cell was given and has not drawn yet, and what the last user set in any cell.
         self._given: dict[int, deque[tuple[Any, ...]]] = {}
         self._newest: tuple[Any, ...] | None = None
         self._lock = threading.Lock()
 
-    def add(self, cell: Cell) -> None:
+    def add(self, cell: Page) -> None:
         """Add a cell, which takes what it shares from one that is there."""
         with self._lock:
             others = list(self.cells)
@@ -70,13 +66,13 @@ class Pair:
         for other in others[:1]:
             self._give(cell, other.state)
 
-    def remove(self, cell: Cell) -> None:
+    def remove(self, cell: Page) -> None:
         """Remove a cell."""
         with self._lock:
             self.cells = [one for one in self.cells if one is not cell]
             self._given.pop(id(cell), None)
 
-    def state_changed(self, cell: Cell, state: ReviewState) -> None:
+    def state_changed(self, cell: Page, state: ReviewState) -> None:
         """Take a state of a cell to the others, unless it has it from them or they have it already."""
         with self._lock:
             shared, given = _shared(state), self._given.get(id(cell))
@@ -97,14 +93,14 @@ class Pair:
         for other in others:
             self._give(other, state)
 
-    def camera_moved(self, cell: Cell, pose: CameraPose) -> None:
+    def camera_moved(self, cell: Page, pose: CameraPose) -> None:
         """Take the camera of a cell, which its user moved, to the others."""
         with self._lock:
             others = [one for one in self.cells if one is not cell]
         for other in others:
             other.look(pose)
 
-    def _give(self, cell: Cell, state: ReviewState) -> None:
+    def _give(self, cell: Page, state: ReviewState) -> None:
         with self._lock:
             if (given := self._given.get(id(cell))) is None:
                 return
@@ -140,3 +136,39 @@ def cells_of(model: ReviewModel, state: ReviewState, last_corruption: str = "") 
         other = next(name for name in methods if name != shown)
         return replace(state, methods=(shown,)), replace(state, methods=(other,))
     return state, replace(state, corruption=last_corruption or next(iter(CORRUPTIONS)))
+
+
+def compare_address(left: str, right: str) -> str:
+    """Address of two cells by their links."""
+    return f"{PATH}?left={quote(left, safe='')}&right={quote(right, safe='')}"
+
+
+HTML = """<!doctype html><html><head><meta charset="utf-8"><title>Review: side by side</title><style>
+html,body{margin:0;height:100%;background:#0a0c11;overflow:hidden}
+main{display:flex;height:100%;gap:2px}
+section{position:relative;flex:1;min-width:0}
+iframe{width:100%;height:100%;border:0}
+h1{position:absolute;left:14px;top:12px;margin:0;padding:5px 12px;pointer-events:none;border-radius:7px;
+ font:600 14px/1.3 system-ui,"Segoe UI",Roboto,"DejaVu Sans",sans-serif;color:#fff;background:rgba(13,16,23,.8);
+ border:1px solid rgba(148,163,184,.25)}
+</style></head><body><main></main><script>
+const asked=new URLSearchParams(location.search),pair=Math.random().toString(36).slice(2),links={};
+const title=link=>{const q=new URLSearchParams(link),k=q.get('corruption')||'clean',parts=[];
+ if(q.get('methods'))parts.push(q.get('methods').split('|').map(decodeURIComponent).join(', '));
+ if(q.get('cooperative')==='0')parts.push('ego alone');
+ parts.push(k==='clean'?k:k.replaceAll('_',' ')+' '+(q.get('severity')||3));return parts.join(' \\u00b7 ');};
+for(const side of ['left','right']){
+ links[side]=asked.get(side)||'';
+ const cell=document.createElement('section'),frame=document.createElement('iframe');
+ frame.id=side;frame.src='/?'+[links[side],'fixedDpr=1','pair='+pair].filter(Boolean).join('&');
+ const name=document.createElement('h1');name.textContent=title(links[side]);
+ cell.append(frame,name);document.querySelector('main').append(cell);}
+addEventListener('message',e=>{
+ if(e.origin!==location.origin||typeof e.data?.review!=='string')return;
+ for(const side in links){const frame=document.getElementById(side);
+  if(frame.contentWindow!==e.source)continue;
+  links[side]=e.data.review;frame.nextSibling.textContent=title(links[side]);
+  history.replaceState(null,'',location.pathname+'?'+Object.entries(links).map(
+   ([k,v])=>k+'='+encodeURIComponent(v)).join('&'));}});
+document.getElementById('left').addEventListener('load',e=>e.target.contentWindow.focus());
+</script></body></html>"""

@@ -10,8 +10,7 @@ import pytest
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.cells.html import OPEN_KEY, compare_address
-from dsrc.review.page.cells.pairs import Pair, cells_of
+from dsrc.review.page.cells import OPEN_KEY, CellPair, cells_of, compare_address
 from dsrc.review.page.commands import COMMANDS
 from dsrc.review.page.session import Session
 from dsrc.review.sources.detected import ComputedSet
@@ -181,7 +180,7 @@ def test_what_is_broken_in_one_cell_is_no_list_of_the_other(cells: tuple[SocketB
 class DrawnAtOnce:
     """Cell that tells its pair of each state."""
 
-    def __init__(self, pair: Pair, **changes: Any) -> None:
+    def __init__(self, pair: CellPair, **changes: Any) -> None:
         self.state, self.pair, self.looks = ReviewState(**changes), pair, 0
         pair.add(self)
 
@@ -194,7 +193,7 @@ class DrawnAtOnce:
 
 
 def test_a_cell_that_is_only_drawn_again_moves_no_other() -> None:
-    pair = Pair()
+    pair = CellPair()
     left, right = DrawnAtOnce(pair), DrawnAtOnce(pair, corruption="fog")
     right.update(frame=1)
     before = left.looks
@@ -212,7 +211,7 @@ def test_a_state_that_was_given_and_is_drawn_late_is_no_users() -> None:
         def update(self, **changes: Any) -> None:
             self.state = replace(self.state, **changes)
 
-    pair, ahead, late = Pair(), Late(), Late()
+    pair, ahead, late = CellPair(), Late(), Late()
     pair.add(ahead), pair.add(late)
     given = []
     for frame in (1, 2, 3):
@@ -235,7 +234,7 @@ def test_a_cell_takes_what_a_later_one_lacks() -> None:
         def update(self, **changes: Any) -> None:
             self.state = replace(self.state, **changes)
 
-    pair, first, late = Pair(), Cell(frame=9, corruption="fog"), Cell(corruption="rain")
+    pair, first, late = CellPair(), Cell(frame=9, corruption="fog"), Cell(corruption="rain")
     pair.add(first), pair.add(late)
     assert (late.state.frame, late.state.corruption) == (9, "rain")
     pair.state_changed(late, late.state)
