@@ -253,7 +253,7 @@ def test_zero_and_nan_directions_miss(engine: Engine) -> None:
     reach = np.full(3, 9.0, np.float32)
     hits = engine.cast(solid_of(trimesh.creation.box((4.0,) * 3)), np.zeros((3, 3), np.float32), directions, reach)
     assert (hits.face >= 0).tolist() == [False, False, True]
-    assert hits.distance.tolist() == [9.0, 9.0, 2.0]
+    assert hits.distance == pytest.approx([9.0, 9.0, 2.0], rel=1e-6)
 
 
 def test_no_triangles_and_no_rays_are_legal(engine: Engine) -> None:
@@ -269,7 +269,7 @@ def test_a_solid_is_known_by_identity(engine: Engine) -> None:
     directions, origin, reach = rays([[1, 0, 0]]), np.zeros((1, 3), np.float32), np.full(1, 99.0, np.float32)
     for side in range(2, 30):
         hits = engine.cast(solid_of(trimesh.creation.box((side,) * 3)), origin, directions, reach)
-        assert hits.distance[0] == side / 2
+        assert hits.distance[0] == pytest.approx(side / 2, rel=1e-6)
 
 
 def test_a_world_without_triangles_holds_its_bodies(engine: Engine) -> None:
