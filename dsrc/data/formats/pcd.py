@@ -109,8 +109,7 @@ def read_table(path: Path) -> NDArray[np.void]:
 
 def encode_pcd(sweep: Sweep) -> bytes:
     """Return OPV2V's PCD file of a sweep: mirrored points, red intensity and all columns exactly."""
-    table = _table(sweep, _RECORD)
-    table["y"] = -sweep.points[:, 1]
+    table = _table(sweep, _RECORD, side=-1.0)
     red = np.round(np.clip(sweep.intensity, 0.0, 1.0) * 255.0).astype(np.uint32)
     table["rgb"] = red << 16
     return encode_table(table)
@@ -118,16 +117,16 @@ def encode_pcd(sweep: Sweep) -> bytes:
 
 def encode_sensor_pcd(sweep: Sweep) -> bytes:
     """Return the PCD file of a sweep in the style of real sensors: all columns, not mirrored, intensity up to 256."""
-    table = _table(sweep, np.dtype([(name, _RECORD[name]) for name in _RECORD.names or () if name != "rgb"]))
-    table["intensity"] *= np.float32(SENSOR_FULL_SCALE)
-    return encode_table(table)
+    dtype = np.dtype([(name, _RECORD[name]) for name in _RECORD.names or () if name != "rgb"])
+    return encode_table(_table(sweep, dtype, scale=SENSOR_FULL_SCALE))
 
 
-def _table(sweep: Sweep, dtype: np.dtype) -> NDArray[np.void]:
+def _table(sweep: Sweep, dtype: np.dtype, side: float = 1.0, scale: float = 1.0) -> NDArray[np.void]:
+    from dsrc.data.formats.pcd_kernel import fill_records  # takes half a second, and readers need none of it
+
     table = np.zeros(len(sweep), dtype)
-    table["x"], table["y"], table["z"] = sweep.points.T
-    for field, column in _COLUMNS.items():
-        table[field] = getattr(sweep, column)
+    columns = (np.ascontiguousarray(getattr(sweep, column)) for column in _COLUMNS.values())
+    fill_records(table, np.ascontiguousarray(sweep.points), np.float32(side), np.float32(scale), *columns)
     return table
 
 

@@ -251,3 +251,13 @@ def test_a_sweep_survives_the_form_of_real_sensors_bit_for_bit(tmp_path: Path) -
         assert np.array_equal(getattr(back, name), getattr(sweep, name)), name
     table = read_table(tmp_path / "a.pcd")
     assert table.dtype.names[:4] == ("x", "y", "z", "intensity") and table["intensity"].max() > 200.0
+
+
+def test_records_hold_every_column_to_the_bit() -> None:
+    sweep = toy_frame(0).agents[0].sweep
+    table = np.zeros(len(sweep), pcd._RECORD)
+    table["x"], table["y"], table["z"] = sweep.points[:, 0], -sweep.points[:, 1], sweep.points[:, 2]
+    for field, column in pcd._COLUMNS.items():
+        table[field] = getattr(sweep, column)
+    table["rgb"] = np.round(sweep.intensity * 255.0).astype(np.uint32) << 16
+    assert encode_pcd(sweep) == encode_table(table)
