@@ -14,7 +14,6 @@ import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -27,6 +26,8 @@ from dsrc.models.layers.encoder import PillarEncoder, PillarMap, Pillars
 from dsrc.ops.pillars import pillar_maxima
 from sim.errors import SettingsError, complaint
 
+BFLOAT16 = torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+"""Whether the processor computes convolutions in bfloat16."""
 _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
 
 
@@ -64,9 +65,21 @@ def torch_compiled(detector: Detector) -> Detector:
     return fast
 
 
+def halved(detector: Detector) -> Detector:
+    """Copy a detector for inference in bfloat16, see `deployed`.
+
+    Raises:
+        SettingsError: the processor does not compute it.
+    """
+    if _ONEDNN and not BFLOAT16 and detector.cls_head.weight.device.type == "cpu":
+        expected = "a processor with bfloat16 (AVX-512 or AMX)"
+        raise SettingsError(complaint("engine", "bf16", expected, "none; take fused"))
+    return deployed(detector, torch.bfloat16)
+
+
 ENGINES: dict[str, Callable[[Detector], Detector]] = {
     "fused": deployed,
-    "bf16": partial(deployed, precision=torch.bfloat16),
+    "bf16": halved,
     "compiled": torch_compiled,
     "plain": lambda detector: detector,
 }

@@ -13,7 +13,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.layers.encoder import PillarEncoder, PillarMap, Pillars
-from dsrc.models.storage.deploy import ENGINES, FusedConv, FusedEncoder, deployed
+from dsrc.models.storage.deploy import BFLOAT16, ENGINES, FusedConv, FusedEncoder, deployed
 from dsrc.training.recipes import debug
 from sim.errors import SettingsError
 
@@ -82,6 +82,13 @@ def test_it_gives_the_same_maps_for_every_backbone(backbone: str, monkeypatch: p
         assert_same(fast(pillars, AgentLayout(AGENTS)), expected)
 
 
+def test_a_processor_without_bfloat16_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", False)
+    with pytest.raises(SettingsError, match=r"^engine: bf16: expected a processor with bfloat16 .*, found none"):
+        ENGINES["bf16"](a_detector())
+
+
+@pytest.mark.skipif(not BFLOAT16, reason="needs a processor with bfloat16")
 @pytest.mark.parametrize("method", sorted({"attention", "late"} | {name for name in FUSIONS if FUSIONS[name].start}))
 def test_half_the_digits_give_nearly_the_same_scores(method: str) -> None:
     detector = a_detector(fusion=method)
