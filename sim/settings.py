@@ -77,7 +77,7 @@ def renamed(
             continue
         if new in found:
             raise error(f"{place}{old} and {new} are the same; leave out {old}")
-        warn_deprecated(f"{place}{old}", new)
+        warn_deprecated(f"{place}{old}", new, level=4)
         found[new] = found.pop(old)
     return found
 

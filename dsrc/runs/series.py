@@ -118,7 +118,7 @@ class Series(Generic[J, R]):
 def check_same(record: Path, found: Any, wanted: Any, hint: str = "; choose another folder or remove this one") -> None:
     """Compare settings with those in a record; DataError names the first difference."""
     for name, asked, have in _differences(found, wanted):
-        more = f", or go on with --reuse {record.parent}" if _says_code(name) else ""
+        more = ", or go on with --reuse and the folder given as --out" if _says_code(name) else ""
         raise DataError(complaint(record, name, asked, have, hint + more))
 
 

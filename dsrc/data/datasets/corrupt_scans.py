@@ -80,6 +80,8 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
     if not data.is_dir():
         if ending_of(out) != ending_of(data):
             raise SettingsError(complaint("corrupt", "out", f"a file *{ending_of(data)}, as the scan's", out.name))
+        if options.reuse:
+            raise SettingsError("corrupt: a single scan is always made anew; leave out --reuse")
         scan = _job(data, out, options)
         _write(scan, _corrupted(scan))
         return [out]

@@ -94,11 +94,12 @@ def test_a_former_name_is_taken_and_told(capsys: pytest.CaptureFixture[str], tmp
     first, second = capsys.readouterr().err.splitlines()
     assert first == f"dsrc: --who is deprecated and goes on {GOES}; use --corrupted-agents"
     assert "corrupted_agents: expected all, ego, helpers or ids" in second
-    with pytest.warns(DeprecatedName, match="^limit is deprecated"):
+    with pytest.warns(DeprecatedName, match="^limit is deprecated") as told:
         config = takes_fields(Evaluation)(lambda options: options)(
             checkpoint=("a.pt",), data=tmp_path, out=tmp_path, limit=3
         )
     assert config.frames == 3
+    assert told[0].filename == __file__
 
 
 def test_an_unknown_field_is_refused_and_the_signature_names_all() -> None:

@@ -53,6 +53,12 @@ def test_a_scan_alone_gets_the_bytes_that_it_gets_in_its_folder(kitti: Path, tmp
     assert (tmp_path / "one.bin").read_bytes() == (tmp_path / "all/training/velodyne/000005.bin").read_bytes()
 
 
+def test_a_scan_alone_takes_no_earlier_folder(kitti: Path, tmp_path: Path) -> None:
+    scan = kitti / "training/velodyne/000005.bin"
+    with pytest.raises(SettingsError, match="leave out --reuse"):
+        corrupt_dataset(scan, tmp_path / "one.bin", "beam_missing", reuse=(tmp_path,))
+
+
 def test_finished_scans_are_skipped_and_missing_ones_made(kitti: Path, tmp_path: Path) -> None:
     out, seen = tmp_path / "out", []
     made = corrupt_dataset(kitti, out, "noise")
