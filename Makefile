@@ -13,8 +13,9 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 demo: $(READY)
 	$(BIN)/dsrc demo --out demo
 
+# Compiled modules are kept whatever the environment says: the tests start some hundred processes.
 test: $(READY)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 
 # Tests of optional packages: ONNX, Ray, MCAP, stable-baselines3.
 test-extras: $(READY)

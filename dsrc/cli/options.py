@@ -17,7 +17,7 @@ import msgspec
 from tyro.conf import Positional, arg
 
 from dsrc.options.fields import RENAMED
-from sim.errors import option, warn_deprecated
+from sim.errors import SettingsError, option, warn_deprecated
 
 _METAVARS = {bool: "", int: "INT", float: "FLOAT", str: "STR", Path: "PATH"}
 _POSITIONAL = get_args(Positional[int])[1]
@@ -40,6 +40,8 @@ def _today(flat: type, args: Sequence[str]) -> list[str]:
         name, equals, value = word.partition("=")
         new = RENAMED.get(name.removeprefix("--").replace("-", "_"), "") if name.startswith("--") else ""
         if new in known:
+            if any(other.partition("=")[0] == option(new) for other in args):
+                raise SettingsError(f"{name} and {option(new)} are the same; leave out {name}")
             warn_deprecated(name, option(new))
             word = f"{option(new)}{equals}{value}"
         words.append(word)

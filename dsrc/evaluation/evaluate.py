@@ -16,6 +16,7 @@ from dsrc.evaluation.results import CLEAN, Row, summary_rows
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, run_plan
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Evaluation
+from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import write_figure
 from sensors.corruptions import corruption_kinds
@@ -25,6 +26,7 @@ from sim.radio import IDEAL
 EGO_ALONE = "ego alone"
 
 
+@takes_fields(Evaluation)
 def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Row]:
     """Evaluate detectors, write results, plots and the index of detections; resume what is cached.
 

@@ -84,6 +84,8 @@ class Series(Generic[J, R]):
             there |= self._take(jobs, there, reuse)
             if found is None or any(_differences(found, self.settings)):
                 first = self.make(jobs[0])
+                for path in self.files(self.folder, jobs[0]):  # one of other code must not stand under this record
+                    path.unlink(missing_ok=True)
                 self.note(first)
                 self.write(jobs[0], first)
                 there.add(0)

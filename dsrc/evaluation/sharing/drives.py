@@ -23,6 +23,7 @@ from dsrc.evaluation.stored import StoredDrive
 from dsrc.models.fusion import FUSIONS, Fusion
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Sharing
+from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.runs.provenance import provenance
@@ -47,6 +48,7 @@ SHARES: Study[CellJob, Sequence[ShareRow]] = Study(
 )
 
 
+@takes_fields(Sharing)
 def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None = None) -> list[ShareRow]:
     """Shares in all frames of the drives under each condition, in the order of drives, frames and conditions.
 

@@ -24,7 +24,7 @@ def one(perception: str, seed: int, outcome: str, corruption: str = "clean", **m
         corruption=corruption,
         severity=0 if corruption == "clean" else 3,
         family="",
-        corrupted_agents="all",
+        who="all",
         channel="ideal",
         seed=seed,
         road_user=more.pop("road_user", "car"),

@@ -16,7 +16,7 @@ from dsrc.closed_loop.types import Percept
 from dsrc.data.sample import Sample, SampleDetector
 from dsrc.ops.detections import Detections
 from sensors.corruptions import Condition
-from sensors.corruptions.apply import Who
+from sensors.corruptions.apply import CorruptedAgents
 from sensors.recording.record import record
 from sensors.sweep import POINT_FIELDS
 from sim.boxes import CLASSES, Boxes
@@ -172,7 +172,7 @@ def test_a_helper_that_leaves_is_not_replaced() -> None:
 
 
 @pytest.mark.parametrize(("who", "hit"), [("ego", [EGO]), ("helpers", [HELPER]), ((HELPER,), [HELPER]), ("all", None)])
-def test_only_those_asked_for_are_corrupted(who: Who, hit: list[int] | None) -> None:
+def test_only_those_asked_for_are_corrupted(who: CorruptedAgents, hit: list[int] | None) -> None:
     frames = []
     for condition in (Condition(), Condition("beam_missing", 5, agents=who)):
         senses = Senses(condition, cooperative=True)

@@ -56,9 +56,17 @@ def test_a_ghost_is_as_late_as_every_message() -> None:
 
 def test_a_corruption_of_the_liar_acts_on_its_lie(monkeypatch: pytest.MonkeyPatch) -> None:
     def gone(
-        frame: Frame, kind: str, severity: int, seed: int, family: str, *, ego_id: int, who: str, **_: object
+        frame: Frame,
+        kind: str,
+        severity: int,
+        seed: int,
+        family: str,
+        *,
+        ego_id: int,
+        corrupted_agents: str,
+        **_: object,
     ) -> Frame:
-        assert who == "helpers"
+        assert corrupted_agents == "helpers"
         return frame.with_sweeps([a.sweep if a.agent_id == ego_id else a.sweep[:0] for a in frame.agents])
 
     monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", gone)

@@ -201,7 +201,7 @@ def test_a_wrong_setting_or_file_is_refused(tmp_path: Path) -> None:
     for settings in ({"corruption": "fogg"}, {"channel": "pigeon"}, {"engine": "steam"}, {"corrupted_agents": "me"}):
         with pytest.raises(SettingsError):
             open_perception("team", **settings)
-    with pytest.raises(SettingsError, match="who: expected helpers"):
+    with pytest.raises(SettingsError, match="corrupted_agents: expected helpers"):
         open_perception("team", corruption="pose_error", corrupted_agents="ego")
     with pytest.raises(CheckpointError, match="no such checkpoint file"):
         open_perception(str(tmp_path / "gone.pt"))

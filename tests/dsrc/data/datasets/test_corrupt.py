@@ -84,9 +84,9 @@ def test_only_the_agents_asked_for_are_corrupted(data: Path, tmp_path: Path) -> 
         pairs = zip(DriveReader(data / "one").read(2).agents, DriveReader(drive).read(2).agents, strict=True)
         assert {a.agent_id for a, b in pairs if len(b.sweep) < len(a.sweep)} == changed
         assert DriveReader(drive).protocol["testbed"]["corruptions"][0]["who"] == who
-    with pytest.raises(DataError, match=r"one: frame 0: who: expected ids among the agents .*, found 7"):
+    with pytest.raises(DataError, match=r"one: frame 0: corrupted_agents: expected ids among the agents .*, found 7"):
         corrupt_dataset(data, tmp_path / "none", "beam_missing", corrupted_agents="7")
-    with pytest.raises(SettingsError, match="who: expected helpers"):
+    with pytest.raises(SettingsError, match="corrupted_agents: expected helpers"):
         corrupt_dataset(data, tmp_path / "none", "pose_error", corrupted_agents="ego")
 
 

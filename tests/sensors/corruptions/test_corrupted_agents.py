@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sensors.corruptions import CORRUPTIONS, Who, corrupt_frame, parse_who
+from sensors.corruptions import CORRUPTIONS, CorruptedAgents, corrupt_frame, parse_agents
 from sim.errors import DataError, SettingsError
 from tests.sensors.corruptions.drives import street_drive
 from tests.sensors.corruptions.frames import AGENTS, frame
@@ -12,7 +12,7 @@ from tests.sensors.corruptions.street import same
 SPARING = tuple(kind for kind in CORRUPTIONS if CORRUPTIONS[kind].spares_ego)
 
 
-def changed(kind: str, who: Who, ego_id: int | None = None) -> set[int]:
+def changed(kind: str, who: CorruptedAgents, ego_id: int | None = None) -> set[int]:
     """Ids of the agents whose sweep or reported pose is not that of the recording."""
     clean = frame(5)
     out = corrupt_frame(clean, kind, 5, 4, ego_id=ego_id, corrupted_agents=who)
@@ -50,23 +50,24 @@ def test_a_corrupted_sweep_is_the_same_whoever_else_is_corrupted(kind: str) -> N
 def test_an_error_relative_to_the_ego_is_one_of_helpers_alone(kind: str) -> None:
     assert changed(kind, "helpers") == changed(kind, "all") >= {1003}
     assert 1000 not in changed(kind, "all")
-    with pytest.raises(SettingsError, match=f"corruption '{kind}': who: expected helpers, .*, found ego"):
+    with pytest.raises(SettingsError, match=f"corruption '{kind}': corrupted_agents: expected helpers, .*, found ego"):
         changed(kind, "ego")
 
 
 @pytest.mark.parametrize("who", ["", "Ego", "1003", ()])
-def test_other_words_are_refused(who: Who) -> None:
-    with pytest.raises(SettingsError, match="who: expected all, ego, helpers or ids of agents, found"):
+def test_other_words_are_refused(who: CorruptedAgents) -> None:
+    with pytest.raises(SettingsError, match="corrupted_agents: expected all, ego, helpers or ids of agents, found"):
         changed("fog", who)
 
 
 def test_an_id_that_is_no_agent_is_refused() -> None:
-    with pytest.raises(DataError, match=r"frame 5: who: expected ids among the agents \[1000, 1003, -1\], found 1004"):
+    message = r"frame 5: corrupted_agents: expected ids among the agents \[1000, 1003, -1\], found 1004"
+    with pytest.raises(DataError, match=message):
         changed("fog", (1000, 1004))
 
 
 def test_text_of_a_command_names_agents_by_word_or_ids() -> None:
-    assert [parse_who(text) for text in ("all", "ego", "helpers")] == ["all", "ego", "helpers"]
-    assert parse_who("1003,-1") == (1003, -1)
-    with pytest.raises(SettingsError, match=r"corruption: who: expected all, .* such as 1003,-1, found helper"):
-        parse_who("helper")
+    assert [parse_agents(text) for text in ("all", "ego", "helpers")] == ["all", "ego", "helpers"]
+    assert parse_agents("1003,-1") == (1003, -1)
+    with pytest.raises(SettingsError, match=r"corrupted_agents: expected all, .* such as 1003,-1, found helper"):
+        parse_agents("helper")
