@@ -42,11 +42,9 @@ def take(out: Path, repository: Path = REPOSITORY, commit: str = COMMIT, hashes:
     Raises:
         DataError: the commit is not in the clone, or a file is missing or damaged; nothing is written then.
     """
-    listed = (line.split(maxsplit=1) for line in hashes.read_text(encoding="utf-8").splitlines())
-    expected = {name: digest for digest, name in listed}
+    expected = dict(reversed(line.split(maxsplit=1)) for line in hashes.read_text(encoding="utf-8").splitlines())
     with tarfile.open(fileobj=io.BytesIO(_archive(repository, commit))) as archive:
-        opened = ((_place(member.name), archive.extractfile(member)) for member in archive)
-        files = {name: file.read() for name, file in opened if file is not None}
+        files = {_place(member.name): archive.extractfile(member).read() for member in archive if member.isfile()}
     for name, digest in expected.items():
         found = hashlib.sha256(files[name]).hexdigest() if name in files else "no such file"
         if found != digest:
