@@ -294,7 +294,10 @@ def check(plan: Campaign, where: str) -> None:
     for scenario in plan.scenarios:
         load_scenario(scenario)
     for channel in plan.radios:
-        get_channel(channel)
+        try:
+            get_channel(channel)
+        except SettingsError as error:
+            raise SettingsError(f"{where}: {error}") from None
     for one in plan.perceptions:
         if one.kind in WITHOUT_SENSOR and one.checkpoint:
             expected = f"none with '{one.kind}' (no detector)"

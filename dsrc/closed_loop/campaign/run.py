@@ -172,6 +172,8 @@ def read_results(paths: Iterable[Path]) -> dict[str, EpisodeResult]:
     """
     found: dict[str, EpisodeResult] = {}
     for path in paths:
+        if not path.exists():
+            raise DataError(complaint(path, "reuse", "a folder of a campaign, or its results.csv", "nothing there"))
         text = read_text(path, "results.csv")
         with parsing(path, "results.csv"):
             rows = list(csv.reader(io.StringIO(text)))

@@ -71,7 +71,8 @@ def test_other_settings_and_other_code_are_refused_by_name(tmp_path: Path) -> No
     squares(tmp_path).run([1, 2], SERIAL)
     with pytest.raises(DataError, match=r"json: name: expected 'cubes' as asked for now, found squares; choose"):
         squares(tmp_path, name="cubes").run([1, 2], SERIAL)
-    with pytest.raises(DataError, match=r"code: .*, or go on with --reuse and the folder given as --out$"):
+    refused = r"code: expected 'newer' as asked for now, found .*, or go on with --reuse and the folder given as --out$"
+    with pytest.raises(DataError, match=refused):
         squares(tmp_path, code="newer").run([1, 2], SERIAL)
     with pytest.raises(DataError, match=r"json: name: expected 'cubes'"):
         squares(tmp_path, name="cubes", code="newer").run([1, 2], SERIAL, reuse=[tmp_path])

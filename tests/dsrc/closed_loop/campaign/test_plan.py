@@ -264,7 +264,7 @@ def test_changes_of_the_radio_are_channels_of_their_own() -> None:
     assert campaign_of(options).radios == ("ideal,loss=0.3,delay_s=0.2", "its-g5-6,loss=0.3,delay_s=0.2")
     alone = DriveOptions(what="four_way", perception=("team",), pose_error=0.4)
     assert [job.radio["position_error_m"] for job in episodes_of(campaign_of(alone))] == [0.4]
-    with pytest.raises(SettingsError, match=r"loss: expected 0 to 1, found 1\.5"):
+    with pytest.raises(SettingsError, match=r"^drive: .*loss: expected 0 to 1, found 1\.5"):
         campaign_of(DriveOptions(what="four_way", perception=("team",), loss=1.5))
 
 

@@ -103,6 +103,8 @@ def test_episodes_of_other_code_are_taken_from_an_earlier_folder(
     assert take_episodes(replace(PLAN, driver="careful"), tmp_path / "other driver", [driven]) == 0
     with pytest.raises(DataError, match="reuse: expected a folder of results"):
         take_episodes(PLAN, out, [tmp_path])
+    with pytest.raises(DataError, match=r"none: reuse: expected a folder of a campaign, or its results\.csv"):
+        read_results([tmp_path / "none"])
 
 
 def changed(text: str, column: str, value: str) -> str:
