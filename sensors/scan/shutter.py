@@ -1,6 +1,5 @@
 """Rolling shutter: poses of a sensor at its firings, in the world and in the frames of moving bodies."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -15,21 +14,6 @@ _STEP_S = 1e-3
 """Longest linear interpolation of poses, s: 0.05 mm off at 50 m for a body that turns at 3 rad/s."""
 
 Floats = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SensorMotion:
-    """Poses of a sensor while the beams of c columns fire, in some frame.
-
-    The frame of a spinning sensor is its head's, turned to each column's azimuth: see `beam_axes`.
-
-    Attributes:
-        start: (3, 4, c) float32 pose when share 0 of the column has passed.
-        step: (3, 4, c) float32 its change over the column; None where all beams fire at `start`.
-    """
-
-    start: Floats
-    step: Floats | None
 
 
 def beam_axes(beams: Beams) -> Floats:
@@ -62,25 +46,28 @@ class Shutter:
         border: (K,) float64 moments between which poses are interpolated linearly: borders of blocks, parts of long
             ones, and the knots of the bodies' path.
         segment: (C,) the border before each column.
+        timing: (4, C) float32 share of its segment that has passed when a column starts to fire, or its beams if they
+            all fire together; share of the segment that the others take, else 0; cosine and sine of the head's azimuth.
     """
 
     def __init__(self, request: SweepRequest, knots_s: NDArray[np.float64]) -> None:
         """Prepare a sweep among bodies whose path has knots at (K,) times."""
         share, columns, column_s = request.beams.firing_share, request.beams.columns, request.spec.column_s
         self._request = request
-        self._together = bool((share == share[0]).all())
+        together = bool((share == share[0]).all())
         parts = max(1, int(np.ceil(BLOCK * column_s / _STEP_S)))
         borders = np.linspace(0.0, float(request.beams.blocks * BLOCK), request.beams.blocks * parts + 1)
         if column_s > 0.0:
             knots = (knots_s - request.time_s) / column_s + 0.5 * columns
             borders = np.sort(np.concatenate([borders, knots[(knots > 0.0) & (knots < borders[-1])]]))
-        fired = np.arange(columns) + (float(share[0]) if self._together else 0.0)
+        fired = np.arange(columns) + (float(share[0]) if together else 0.0)
         self.border = borders
         self.segment: NDArray[np.int64] = np.searchsorted(borders, fired, "right") - 1
         length = np.diff(borders)[self.segment]
-        self._past_border: Floats = ((fired - borders[self.segment]) / length).astype(np.float32)
-        self._per_column: Floats = (1.0 / length).astype(np.float32)
-        self._head = None if request.beams.fan is None else _head(request.beams.fan)
+        self.timing: Floats = np.zeros((4, columns), np.float32)
+        self.timing[0] = (fired - borders[self.segment]) / length
+        self.timing[1] = 0.0 if together else 1.0 / length
+        self.timing[2:] = [[1.0], [0.0]] if request.beams.fan is None else _head(request.beams.fan)[:, :columns]
 
     def sensor(self, column: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (N, 3, 4) world_from_lidar at (N,) moments."""
@@ -116,30 +103,3 @@ class Shutter:
         knot = np.clip(np.searchsorted(path.time_s, time_s, side="right") - 1, 0, len(path.time_s) - 2)
         start, end = path.time_s[knot], path.time_s[knot + 1]
         return knot, np.clip((time_s - start) / (end - start), 0.0, 1.0)[:, None]
-
-    def motion(
-        self, poses: NDArray[np.float64], row: NDArray[np.int64], columns: NDArray[np.int64] | slice = slice(None)
-    ) -> SensorMotion:
-        """Return the motion over c columns.
-
-        Args:
-            poses: (N, 3, 4) at borders.
-            row: (c,) row in `poses` of the border before each column; that of the border after it is the next.
-        """
-        table = np.ascontiguousarray(poses.transpose(1, 2, 0), dtype=np.float32)
-        start, change = table.take(row, axis=2), np.diff(table).take(row, axis=2)
-        start += self._past_border[columns] * change
-        self._turn_head(start, columns)
-        if self._together:
-            return SensorMotion(start, None)
-        change *= self._per_column[columns]
-        self._turn_head(change, columns)
-        return SensorMotion(start, change)
-
-    def _turn_head(self, pose: Floats, columns: NDArray[np.int64] | slice) -> None:
-        """Turn (3, 4, c) poses of the sensor into those of its head."""
-        if self._head is not None:
-            cosine, sine = self._head[:, columns if isinstance(columns, np.ndarray) else slice(pose.shape[2])]
-            forward = cosine * pose[:, 0] + sine * pose[:, 1]
-            pose[:, 1] = cosine * pose[:, 1] - sine * pose[:, 0]
-            pose[:, 0] = forward

@@ -13,22 +13,22 @@ sample, within one or two hundredths.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.raycast import SweepRequest
-from sensors.scan.body_rays import BodyRays, body_rays
+from sensors.scan.body_windows import body_poses, body_windows
 from sensors.scan.lidar import Sensor, sweep_request
 from sensors.scan.scene import RayScene
-from sensors.scan.shutter import SensorMotion, Shutter, beam_axes
+from sensors.scan.shutter import Shutter, beam_axes
+from sensors.scan.visibility_kernel import Windows, aim_rays, choose_rays, nearest_hits, seen_shares
 
 _TOUCH_M = 0.02
 """Least distance behind the static world at which a body counts as hidden, m: tyres touch the road."""
 
 _MOST_RAYS = 700
-_GOLDEN = 0.6180339887
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
@@ -61,96 +61,25 @@ def visible_fraction(scene: RayScene, sensors: Sequence[Sensor], object_id: NDAr
 
 def _shares(scene: RayScene, request: SweepRequest) -> Floats:
     """Return (B,) fractions of the scene's bodies, NaN where undefined."""
-    beams, count = request.beams, len(scene.bodies)
-    shutter = Shutter(request, scene.bodies.path.time_s)
-    candidates, motion = body_rays(request, shutter, scene.bodies)
-    met = _alone(scene, request, candidates, motion)
-    nearest = np.full(beams.rings * beams.columns, np.inf, np.float32)
-    np.minimum.at(nearest, met.ray, met.distance)
+    beams, bodies = request.beams, scene.bodies
+    shutter = Shutter(request, bodies.path.time_s)
+    windows = body_windows(request, shutter, bodies)
+    lead, widest = _lead(request)
+    ring, row, own, count = choose_rays(windows, _strides(windows, widest), lead, widest, beams.columns)
+    origin, direction = _aim(request, shutter, *body_poses(shutter, bodies, windows), ring, windows.column, row)
+    solids = [bodies.solids[body] for body in windows.body]
+    hits = scene.engine.cast_each(solids, count.tolist(), origin, direction, beams.reach[ring, 1])
+    ray = ring * beams.columns + windows.column[row]
+    nearest = nearest_hits(ray, hits.face, hits.distance, beams.rings * beams.columns)
     nearest[_hidden(scene, request, shutter, nearest)] = -np.inf
-    counts = met.own & (met.distance >= beams.reach[met.ray // beams.columns, 0])
-    alone = np.bincount(met.body[counts], minlength=count)
-    reaching = np.bincount(met.body[counts & (met.distance <= nearest[met.ray])], minlength=count)
-    with np.errstate(invalid="ignore"):
-        return (reaching / alone).astype(np.float32)
+    least = beams.reach[:, 0]
+    return seen_shares(windows.body, count, ray, own, hits.face, hits.distance, least, nearest, len(bodies))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Met:
-    """Hits of rays on bodies, each body alone.
-
-    Attributes:
-        body: (K,) rows of the bodies.
-        ray: (K,) numbers of the rays, counted ring by ring.
-        distance: (K,) m.
-        own: (K,) whether the ray is of the body's own sample; the others are samples of bodies behind it.
-    """
-
-    body: Ints
-    ray: Ints
-    distance: Floats
-    own: NDArray[np.bool_]
-
-
-def _alone(scene: RayScene, request: SweepRequest, candidates: Sequence[BodyRays], motion: SensorMotion) -> _Met:
-    """Cast the rays of a sweep at every body by itself."""
-    ray, span, own, count = _chosen(request, candidates)
-    ring, column = np.divmod(ray, request.beams.columns)
-    origin, direction = _aim(request, motion, span, ring, column)
-    solids = [scene.bodies.solids[candidate.body] for candidate in candidates]
-    hits = scene.engine.cast_each(solids, count.tolist(), origin, direction, request.beams.reach[ring, 1])
-    hit = hits.face >= 0
-    body = np.repeat(np.array([candidate.body for candidate in candidates], np.int64), count)
-    return _Met(body[hit], ray[hit], hits.distance[hit], own[hit])
-
-
-def _chosen(request: SweepRequest, candidates: Sequence[BodyRays]) -> tuple[Ints, Ints, NDArray[np.bool_], Ints]:
-    """Choose the rays that are cast at bodies.
-
-    Returns:
-        (K,) rays, one body after another; (K,) rows of their columns in the motion of all candidates; (K,) whether they
-        are of their body's own sample; (V,) rays per candidate.
-    """
-    columns, rings = request.beams.columns, request.beams.rings
-    shift, spread = _lead(request)
-    every = np.arange(columns)
-    wanted = np.zeros((rings, columns), bool)
-    samples: list[tuple[Ints, NDArray[np.bool_] | None, NDArray[np.bool_] | None]] = []
-    for candidate in candidates:
-        column = every[candidate.columns]
-        ring = np.arange(candidate.top, candidate.bottom)
-        stride = max(1, len(ring) * int(max(len(column) - 2.0 * spread, 1.0)) // _MOST_RAYS)
-        if stride == 1 and spread == 0.0:
-            wanted[candidate.top : candidate.bottom, candidate.columns] = True
-            samples.append((column, None, None))
-            continue
-        first = np.floor(stride * ((_GOLDEN * ring) % 1.0)).astype(np.int64)
-        seen = np.ones((len(ring), len(column)), bool)
-        if spread > 0.0:
-            # The columns cover the rings with the largest offsets; each ring needs its own part of them.
-            if column[0] > 0:
-                seen &= column >= (column[0] + spread + shift[ring] - 1.0)[:, None]
-            if column[-1] < columns - 1:
-                seen &= column <= (column[-1] - spread + shift[ring] + 1.0)[:, None]
-        own = seen if stride == 1 else seen & ((np.arange(len(column)) - first[:, None]) % stride == 0)
-        wanted[candidate.top : candidate.bottom, candidate.columns] |= own
-        samples.append((column, seen, own))
-    rays, spans, owned = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
-    for candidate, (column, looked, mine) in zip(candidates, samples, strict=True):
-        if looked is None or mine is None:
-            rows = np.arange(candidate.top, candidate.bottom)[:, None] * columns
-            places = np.arange(candidate.span.start, candidate.span.stop)
-            rays.append((rows + column).reshape(-1))
-            spans.append(np.tile(places, len(rows)))
-            owned.append(np.ones(rays[-1].shape, bool))
-            continue
-        # Rays sampled for one body are cast at those before it too, or they could not hide it.
-        row, at = np.nonzero(looked & wanted[candidate.top : candidate.bottom, candidate.columns])
-        rays.append((candidate.top + row) * columns + column[at])
-        spans.append(candidate.span.start + at)
-        owned.append(mine[row, at])
-    count = np.array([len(part) for part in rays[1:]], np.int64)
-    return np.concatenate(rays), np.concatenate(spans), np.concatenate(owned), count
+def _strides(windows: Windows, widest: float) -> Ints:
+    """Return (V,) n of every n-th ray that is taken of each ring of a window."""
+    columns = np.maximum(windows.end - windows.start - 2.0 * widest, 1.0).astype(np.int64)
+    return np.maximum((windows.bottom - windows.top) * columns // _MOST_RAYS, 1)
 
 
 def _lead(request: SweepRequest) -> tuple[NDArray[np.float64], float]:
@@ -169,17 +98,15 @@ def _hidden(scene: RayScene, request: SweepRequest, shutter: Shutter, nearest: F
     solid = scene.around(request)
     poses = shutter.sensor(shutter.border)
     poses[:, :, 3] -= solid.origin
-    origin, direction = _aim(request, shutter.motion(poses, shutter.segment), column, ring, column)
+    every = np.arange(request.beams.columns)
+    origin, direction = _aim(request, shutter, poses.astype(np.float32), shutter.segment, ring, every, column)
     hits = scene.engine.cast(solid, origin, direction, nearest[rays] - np.float32(_TOUCH_M))
     return rays[hits.face >= 0]
 
 
-def _aim(request: SweepRequest, motion: SensorMotion, place: Ints, ring: Ints, column: Ints) -> tuple[Floats, Floats]:
-    """Return (K, 3) origins and directions of rays, each with its column's place in a motion."""
-    axes = beam_axes(request.beams)
-    axis = axes[:, ring, column if axes.shape[2] > 1 else 0]
-    pose = motion.start.take(place, axis=2)
-    if motion.step is not None:
-        pose += request.beams.firing_share[ring] * motion.step.take(place, axis=2)
-    direction = pose[:, 0] * axis[0] + pose[:, 1] * axis[1] + pose[:, 2] * axis[2]
-    return np.ascontiguousarray(pose[:, 3].T), np.ascontiguousarray(direction.T)
+def _aim(
+    request: SweepRequest, shutter: Shutter, pose: Floats, before: Ints, ring: Ints, column: Ints, row: Ints
+) -> tuple[Floats, Floats]:
+    """Return (K, 3) origins and directions of rays; see `aim_rays`."""
+    beams = request.beams
+    return aim_rays(pose, before, shutter.timing, beam_axes(beams), beams.firing_share, ring, column, row)

@@ -105,10 +105,16 @@ def test_the_part_that_another_body_hides_is_the_angle_that_it_covers() -> None:
     assert seen[0] == pytest.approx(1.0 - covered, abs=0.01)
 
 
-def test_without_noise_and_loss_it_is_the_share_of_the_points() -> None:
+SLANTED = msgspec.structs.replace(
+    FINE, azimuth_offset_deg=tuple(np.tile([-6.0, 2.0, 5.0, -1.0], 32)), firing_s=tuple(np.linspace(0.0, 3e-5, 128))
+)
+
+
+@pytest.mark.parametrize("spec", [FINE, SLANTED, msgspec.structs.replace(SLANTED, clockwise=True)])
+def test_without_noise_and_loss_it_is_the_share_of_the_points(spec: LidarSpec) -> None:
     rows = [[15, 0.5, 0.3], [9, 1.5, 0], [-14, 4, 2.0], [-9, 2.4, 1.0], [30, -8, 0.9], [21, -6, 0]]
     crowd = cars(rows, speed=[8.0, -5.0, 3.0, 0.0, 20.0, 9.0])
-    sensor = sensor_at(speed=(12.0, 1.0))
+    sensor = sensor_at(spec=spec, speed=(12.0, 1.0))
     together = scan_all(scene_of(ground(), crowd), [sensor])[0]
     seen = count_points(together, crowd.boxes.object_id)
     alone = [
@@ -161,6 +167,11 @@ def test_objects_out_of_reach_have_no_fraction() -> None:
     scene = scene_of(None, crowd)
     seen = visible_fraction(scene, [sensor_at(rides_on=1002)], np.array([1000, 1001, 1002, 4711]))[0]
     assert seen[0] == 1.0 and np.isnan(seen[1:]).all()
+
+
+def test_a_world_without_bodies_has_no_fraction() -> None:
+    assert fractions(scene_of(ground(), cars([])), sensor_at()).shape == (0,)
+    assert np.isnan(visible_fraction(scene_of(ground(), cars([])), [sensor_at()], np.array([4711]))).all()
 
 
 def test_measuring_draws_no_number_of_the_sensor() -> None:

@@ -1,6 +1,4 @@
-"""Candidate rays: rays of a sweep that may meet a body, and the sensor's motion in the body's frame."""
-
-from dataclasses import dataclass
+"""Windows of bodies: rays of a sweep that may meet a body, and the sensor's poses in the body's frame."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,79 +6,41 @@ from numpy.typing import NDArray
 from sensors.optics.beams import Fan, halo
 from sensors.raycast.base import Bodies, SweepRequest
 from sensors.scan.angular_windows import Arcs, angular_windows, arcs_of
-from sensors.scan.shutter import SensorMotion, Shutter
+from sensors.scan.shutter import Shutter
+from sensors.scan.visibility_kernel import Windows
 
 _GROW_M = 0.05
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 _CONE_MARGIN_RAD = np.radians(0.3)
 _MOMENTS = np.array([0.0, 0.5, 1.0])
 
+Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
-class BodyRays:
-    """Rays of a sweep that may meet a body.
-
-    Attributes:
-        body: its row.
-        top, bottom: first ring of the rays, and the one after the last.
-        columns: of the rays.
-        span: rows of these columns in the motion of all bodies.
-    """
-
-    body: int
-    top: int
-    bottom: int
-    columns: slice | Ints
-    span: slice
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Table:
-    """Table of V `BodyRays`.
-
-    Attributes:
-        body, top, bottom: (V,) see `BodyRays`.
-        count: (V,) number of columns.
-        column: (c,) columns, one row after another.
-    """
-
-    body: Ints
-    top: Ints
-    bottom: Ints
-    count: Ints
-    column: Ints
-
-
-def body_rays(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> tuple[list[BodyRays], SensorMotion]:
-    """Return the candidate rays of all bodies and the sensor's motion in the frames of their bodies."""
+def body_windows(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> Windows:
+    """Return the windows of the bodies that may come within reach and are not hidden."""
     rows = _near(request, shutter, bodies)
     fan = request.beams.fan
-    table = _by_cone(request, shutter, bodies, rows) if fan is None else _by_fan(fan, request, shutter, bodies, rows)
-    end = np.cumsum(table.count)
-    start = end - table.count
-    motion = _motion(shutter, bodies, table, start)
-    columns: list[slice | Ints] = [table.column[a:b] for a, b in zip(start, end, strict=True)]
-    if fan is not None:
-        columns = [slice(int(table.column[a]), int(table.column[b - 1]) + 1) for a, b in zip(start, end, strict=True)]
-    spans = map(slice, start.tolist(), end.tolist())
-    numbers = (values.tolist() for values in (table.body, table.top, table.bottom))
-    return list(map(BodyRays, *numbers, columns, spans)), motion
+    return _by_cone(request, shutter, bodies, rows) if fan is None else _by_fan(fan, request, shutter, bodies, rows)
 
 
-def _motion(shutter: Shutter, bodies: Bodies, table: _Table, start: Ints) -> SensorMotion:
-    """Return the sensor's motion over the columns of all rows, each in the frame of its body."""
-    segment = shutter.segment[table.column]
-    if not len(segment):
-        return shutter.motion(np.zeros((1, 3, 4)), segment, table.column)
-    # The poses at the borders around the columns of each row, one row after another.
-    first = np.minimum.reduceat(segment, start)
-    borders = np.maximum.reduceat(segment, start) - first + 2
+def body_poses(shutter: Shutter, bodies: Bodies, windows: Windows) -> tuple[Floats, Ints]:
+    """Return the sensor's poses in the frames of the bodies.
+
+    Returns:
+        (N, 3, 4) float32 poses at the borders around each window's columns, window by window; (c,) row in them of the
+        border before each column.
+    """
+    segment = shutter.segment[windows.column]
+    first, last = np.zeros((2, 0), np.int64)
+    if len(segment):
+        first, last = (function.reduceat(segment, windows.start) for function in (np.minimum, np.maximum))
+    borders = last - first + 2
     shift = np.cumsum(borders) - borders - first
     border = shutter.border[np.arange(borders.sum()) - np.repeat(shift, borders)]
-    poses = shutter.body_from_lidar(bodies, np.repeat(table.body, borders), border)
-    return shutter.motion(poses, segment + np.repeat(shift, table.count), table.column)
+    poses = shutter.body_from_lidar(bodies, np.repeat(windows.body, borders), border)
+    return poses.astype(np.float32), segment + np.repeat(shift, windows.end - windows.start)
 
 
 def _near(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> Ints:
@@ -95,7 +55,7 @@ def _near(request: SweepRequest, shutter: Shutter, bodies: Bodies) -> Ints:
     return np.flatnonzero(seen)
 
 
-def _by_fan(fan: Fan, request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
+def _by_fan(fan: Fan, request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> Windows:
     azimuth = fan.azimuth[: request.beams.columns]
     of, first, after = _anywhere(request, shutter, bodies, rows).columns(azimuth, fan.spread)
     # Only these columns can meet the body, so only its poses while they fire matter.
@@ -107,10 +67,10 @@ def _by_fan(fan: Fan, request: SweepRequest, shutter: Shutter, bodies: Bodies, r
     seen = np.flatnonzero((end > start) & (bottom > top)[again])
     again, start, count = again[seen], start[seen], end[seen] - start[seen]
     column = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - start, count)
-    return _Table(rows[of[again]], top[again], bottom[again], count, column)
+    return Windows(rows[of[again]], top[again], bottom[again], np.cumsum(count) - count, np.cumsum(count), column)
 
 
-def _by_cone(request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> _Table:
+def _by_cone(request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints) -> Windows:
     """Return the candidates of a rosette: all rings of the columns within a cone around each body."""
     beams = request.beams
     corners = _corners(shutter, bodies, rows, np.tile(beams.columns * _MOMENTS, (len(rows), 1)))
@@ -129,11 +89,12 @@ def _by_cone(request: SweepRequest, shutter: Shutter, bodies: Bodies, rows: Ints
         if len(seen):
             found.append((int(rows[row]), seen))
     count = np.array([len(seen) for _, seen in found], np.int64)
-    return _Table(
+    return Windows(
         body=np.array([body for body, _ in found], np.int64),
         top=np.zeros(len(found), np.int64),
         bottom=np.full(len(found), beams.rings),
-        count=count,
+        start=np.cumsum(count) - count,
+        end=np.cumsum(count),
         column=np.concatenate([np.zeros(0, np.int64), *(seen for _, seen in found)]),
     )
 
