@@ -148,7 +148,7 @@ def _holds(path: Path, content: bytes) -> bool:
         return False
 
 
-def write_file(path: Path, content: bytes | str, *, edited: bool = False) -> None:
+def write_file(path: Path, content: bytes | bytearray | str, *, edited: bool = False) -> None:
     """Write a file atomically, text as UTF-8; see `replacing`."""
     with replacing(path, edited=edited) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)

@@ -16,9 +16,37 @@ _BLOCK = 4096
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
 
 
-def write_checksums(folder: Path) -> Path:
-    """Write the checksums of all files below a folder, sorted by name."""
-    lines = [f"{file_sha256(path)}  {path.relative_to(folder).as_posix()}\n" for path in _files(folder)]
+class Written:
+    """Files that this process has written, each with the SHA-256 of the bytes that it was given."""
+
+    def __init__(self) -> None:
+        self._sums: dict[Path, tuple[tuple[int, ...], str]] = {}
+
+    def write(self, path: Path, content: bytes | bytearray) -> None:
+        """Write a file atomically, and note its SHA-256 once it is there."""
+        write_file(path, content)
+        self._sums[path] = _state(path), hashlib.sha256(content).hexdigest()
+
+    def sha256(self, path: Path) -> str:
+        """Return the SHA-256 of a file; one that others have written, before or since, is read."""
+        state, noted = self._sums.get(path, (None, ""))
+        return noted if state == _state(path) else file_sha256(path)
+
+
+def _state(path: Path) -> tuple[int, ...]:
+    """Return what differs once a file has been replaced or changed."""
+    found = path.stat()
+    return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+def write_checksums(folder: Path, written: Written | None = None) -> Path:
+    """Write the checksums of all files below a folder, sorted by name.
+
+    Args:
+        written: files that need not be read again.
+    """
+    written = written or Written()
+    lines = [f"{written.sha256(path)}  {path.relative_to(folder).as_posix()}\n" for path in _files(folder)]
     write_file(folder / CHECKSUMS, "".join(lines))
     return folder / CHECKSUMS
 

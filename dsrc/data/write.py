@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.changes import at_place, with_sensors
-from dsrc.data.checksums import CHECKSUMS, write_checksums
+from dsrc.data.checksums import CHECKSUMS, Written, write_checksums
 from dsrc.data.drive_folder import is_complete, read_settings, write_protocol
 from dsrc.data.formats.opv2v.reader import PROTOCOL, agent_table, write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
@@ -270,7 +270,7 @@ def write_drive(
             for name in (TRAFFIC_LOG, WORLD):
                 (drive / name).unlink(missing_ok=True)
         missing = [i for i in range(frames) if not agents or not is_complete(drive, list(agents), i)]
-        done = frames - len(missing)
+        done, written = frames - len(missing), Written()
         report(done, frames)
         if missing:
             _log.info("%s: %d of %d frames to write", drive, len(missing), frames)
@@ -284,7 +284,12 @@ def write_drive(
                         own = {**settings, "agents": agent_table(frame)}
                         write_protocol(drive, {"world": world, "testbed": own})
                     write_frame(
-                        drive, frame, settings["connected_vehicles"], source.plans(i), motion=settings["motion"]
+                        drive,
+                        frame,
+                        settings["connected_vehicles"],
+                        source.plans(i),
+                        motion=settings["motion"],
+                        write=written.write,
                     )
                     if watch is not None:
                         watch(frame)
@@ -292,4 +297,4 @@ def write_drive(
                     report(done, frames)
         remove_leftovers(drive)
         if missing or not (drive / CHECKSUMS).exists():
-            write_checksums(drive)
+            write_checksums(drive, written)

@@ -61,8 +61,12 @@ SENSOR_FULL_SCALE = 256.0
 
 def encode_table(table: NDArray[np.void]) -> bytes:
     """Return a binary PCD file of a one-dimensional structured array of scalars."""
-    names = table.dtype.names or ()
-    dtypes = [table.dtype[name] for name in names]
+    return b"".join([_header_of(table.dtype, len(table)), np.ascontiguousarray(table).view(np.uint8).data])
+
+
+def _header_of(dtype: np.dtype, points: int) -> bytes:
+    names = dtype.names or ()
+    dtypes = [dtype[name] for name in names]
     kinds = {kind: letter for letter, kind in _KINDS.items()}
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
@@ -71,14 +75,13 @@ def encode_table(table: NDArray[np.void]) -> bytes:
         "SIZE " + " ".join(str(d.itemsize) for d in dtypes),
         "TYPE " + " ".join(kinds[d.kind] for d in dtypes),
         "COUNT " + " ".join("1" for _ in dtypes),
-        f"WIDTH {len(table)}",
+        f"WIDTH {points}",
         "HEIGHT 1",
         "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(table)}",
+        f"POINTS {points}",
         "DATA binary",
     ]
-    # Joined, so that the points are copied once.
-    return b"".join([("\n".join(lines) + "\n").encode("ascii"), np.ascontiguousarray(table).view(np.uint8).data])
+    return ("\n".join(lines) + "\n").encode("ascii")
 
 
 def read_table(path: Path) -> NDArray[np.void]:
@@ -107,27 +110,31 @@ def read_table(path: Path) -> NDArray[np.void]:
         raise DataError(complaint(path, "DATA", "ascii, binary or binary_compressed", form))
 
 
-def encode_pcd(sweep: Sweep) -> bytes:
+def encode_pcd(sweep: Sweep) -> bytearray:
     """Return OPV2V's PCD file of a sweep: mirrored points, red intensity and all columns exactly."""
-    table = _table(sweep, _RECORD, side=-1.0)
+    content, table = _filled(sweep, _RECORD, side=-1.0)
     red = np.round(np.clip(sweep.intensity, 0.0, 1.0) * 255.0).astype(np.uint32)
     table["rgb"] = red << 16
-    return encode_table(table)
+    return content
 
 
-def encode_sensor_pcd(sweep: Sweep) -> bytes:
+def encode_sensor_pcd(sweep: Sweep) -> bytearray:
     """Return the PCD file of a sweep in the style of real sensors: all columns, not mirrored, intensity up to 256."""
     dtype = np.dtype([(name, _RECORD[name]) for name in _RECORD.names or () if name != "rgb"])
-    return encode_table(_table(sweep, dtype, scale=SENSOR_FULL_SCALE))
+    return _filled(sweep, dtype, scale=SENSOR_FULL_SCALE)[0]
 
 
-def _table(sweep: Sweep, dtype: np.dtype, side: float = 1.0, scale: float = 1.0) -> NDArray[np.void]:
+def _filled(sweep: Sweep, dtype: np.dtype, side: float = 1.0, scale: float = 1.0) -> tuple[bytearray, NDArray[np.void]]:
+    """Return the PCD file of a sweep, and a view of its (P,) records in place: they are not copied."""
     from dsrc.data.formats.pcd_kernel import fill_records  # takes half a second, and readers need none of it
 
-    table = np.zeros(len(sweep), dtype)
+    header = _header_of(dtype, len(sweep))
+    content = bytearray(len(header) + len(sweep) * dtype.itemsize)
+    content[: len(header)] = header
+    table = np.frombuffer(content, dtype, offset=len(header))
     columns = (np.ascontiguousarray(getattr(sweep, column)) for column in _COLUMNS.values())
     fill_records(table, np.ascontiguousarray(sweep.points), np.float32(side), np.float32(scale), *columns)
-    return table
+    return content, table
 
 
 def read_pcd(

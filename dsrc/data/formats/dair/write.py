@@ -78,7 +78,7 @@ class DairWriter:
         seen = (counts >= 1) & (frame.truth.object_id != np.array([[a.agent_id] for a in (vehicle, infrastructure)]))
         front = np.stack([_before(frame.truth, sweep) for sweep in (vehicle.sweep, virtual)]) & seen
         hidden = occlusion(frame.visible_fraction[rows])
-        content: dict[str, bytes] = {
+        content: dict[str, bytes | bytearray] = {
             f"{_VEHICLE}/velodyne/{stem}.pcd": encode_sensor_pcd(vehicle.sweep),
             f"{_INFRASTRUCTURE}/velodyne/{stem}.pcd": encode_sensor_pcd(virtual),
         }

@@ -11,7 +11,7 @@ the sensor's path, so that a reader can choose another. Boxes are those of the f
 import hashlib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,6 +73,7 @@ def write_frame(
     connected_vehicles: bool = True,
     plans: dict[int, NDArray[np.float64]] | None = None,
     motion: Motion | None = None,
+    write: Callable[[Path, bytes | bytearray], None] = write_file,
 ) -> None:
     """Write one frame of all agents, each file atomically.
 
@@ -82,19 +83,20 @@ def write_frame(
         connected_vehicles: list other agents' bodies among an agent's vehicles, as any other vehicle.
         plans: per agent (K, 3) x, y in the world, m, and speed, m/s, of its coming path.
         motion: compensation of the sensors' motion in the files; None leaves the sweeps as they are.
+        write: writes a file atomically.
 
     Raises:
         DataError: a sweep cannot be compensated so: its path or its firing times are unknown.
     """
     frame = frame if motion is None else deskew_frame(frame, motion)
-    contents: dict[Path, bytes] = {}
+    contents: dict[Path, bytes | bytearray] = {}
     for row, agent in enumerate(frame.agents):
         points, notes = frame_files(drive, [agent.agent_id], frame.index)
         contents[points] = encode_pcd(agent.sweep)
         plan = (plans or {}).get(agent.agent_id)
         contents[notes] = encode_agent(frame, row, connected_vehicles, plan).encode()
     for path, content in contents.items():
-        write_file(path, content)
+        write(path, content)
 
 
 class DriveReader:
