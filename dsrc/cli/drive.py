@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from dsrc.cli.progress import made, progress
+from dsrc.cli.progress import log_lines, made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import File, Folder, Output
@@ -35,6 +35,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
             episode flips; default: none.
         view: show one episode in the browser as it is driven, and go on showing it until interrupted.
+        verbose: also say which engine runs the networks, and why.
     """
 
     out: Folder | None = None
@@ -42,6 +43,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     docs: File | None = None
     critical: Literal["severity", "delay_s", "loss"] | None = None
     view: bool = False
+    verbose: bool = False
     pool: Pool = Pool()
     output: Output = Output()
 
@@ -49,6 +51,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         """Drive what is missing and print the table."""
         import tempfile
 
+        if self.verbose:
+            log_lines("dsrc.models.storage", on_terminals=True)
         require_kind("drive", self.what, "scenario", "campaign")
         self._check_together()
         if self.what.endswith(".npz"):
@@ -106,7 +110,14 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from rich.console import Console
 
         from dsrc.closed_loop.campaign.plan import campaign_of, late_messages
-        from dsrc.closed_loop.campaign.run import estimate_s, read_results, reused, run_campaign, take_episodes
+        from dsrc.closed_loop.campaign.run import (
+            engines_there,
+            estimate_s,
+            read_results,
+            reused,
+            run_campaign,
+            take_episodes,
+        )
         from dsrc.closed_loop.report.report import check_publication, publish_report, write_report
         from dsrc.closed_loop.report.terminal import summary_table
         from dsrc.runs.lock import locked
@@ -120,6 +131,11 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 pass  # a folder that cannot be written to is told before anything else
             if folders:
                 sys.stderr.write(f"{take_episodes(plan, out, folders)} episodes are taken from earlier campaigns\n")
+            for engine, count in engines_there(plan, [out, *folders]).items():
+                sys.stderr.write(
+                    f"{count} episodes there are by engine {engine}, this run's are by {plan.engine}: they are "
+                    f"driven anew; --engine {engine} takes them\n"
+                )
             if known:
                 sys.stderr.write(f"{reused(plan, known)} of {len(known)} results are of this campaign's episodes\n")
             episodes, seconds = estimate_s(plan, out, self.pool, known)

@@ -31,9 +31,13 @@ def progress(label: str) -> Iterator[Report]:
         yield report
 
 
-def log_lines(name: str) -> None:
-    """Write the log of a package to standard error, where that is no terminal with a bar of its own."""
-    if not sys.stderr.isatty():
+def log_lines(name: str, on_terminals: bool = False) -> None:
+    """Write the log of a package to standard error.
+
+    Args:
+        on_terminals: also to a terminal, which may have a bar of its own.
+    """
+    if on_terminals or not sys.stderr.isatty():
         log = logging.getLogger(name)
         log.setLevel(logging.INFO)
         log.addHandler(logging.StreamHandler())

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.cli.progress import made, progress
+from dsrc.cli.progress import log_lines, made, progress
 from dsrc.options.fields import File, Output
 from dsrc.options.review import Review, ServeOptions
 
@@ -30,6 +30,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
         link: what a picture shows beside what the options say, as a page's address has it after the question mark.
         size: width and height of a picture or animation, px.
         frames: frames of a written page from the first, or of an animation from the link's.
+        verbose: also say which engine runs the networks, and why.
     """
 
     out: File | None = None
@@ -38,11 +39,14 @@ class View(ServeOptions, frozen=True, kw_only=True):
     link: str = ""
     size: tuple[int, int] = (1280, 720)
     frames: int = 40
+    verbose: bool = False
     output: Output = Output()
 
     def run(self) -> None:
         """Serve the page until interrupted, or write it and print its path."""
         self._check()
+        if self.verbose:
+            log_lines("dsrc.models.storage", on_terminals=True)
         if self.out is None and (self.picture is not None or self.animation is not None):
             self._draw()
             return
@@ -125,7 +129,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
             if path is not None:
                 check_apart(path, self.data)
                 check_output(path, kind)
-        model = open_model(self.data, self.checkpoint, self.drives)
+        model = open_model(self.data, self.checkpoint, self.drives, self.engine)
         start = first_state(model, self)
         state, _, complaints = read_link(self.link, model, start)
         if complaints:

@@ -299,7 +299,7 @@ class ClosedLoop:
 
         Args:
             names: further fields of `EpisodeSettings`: perception, detector, driver, corruption, severity, family,
-                who, channel, engine, versions.
+                who, channel, engine (else that of the perception), versions.
         """
         if self.outcome is None:
             raise TrafficError("expected an episode that has ended, found a running one")
@@ -309,7 +309,7 @@ class ClosedLoop:
             ego_id=self.ego_id,
             loop=msgspec.to_builtins(self.settings),
             route_m=self._route_m,
-            **names,
+            **{"engine": getattr(self.perception, "engine", "fused"), **names},
         )
         return EpisodeLog(settings, self._first, self.ticks, self.outcome, self.message)
 

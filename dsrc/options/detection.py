@@ -24,6 +24,7 @@ from dsrc.options.fields import (
 Checkpoints = Annotated[tuple[str, ...], arg(metavar="[NAME=]FILE [...]")]
 Kinds = Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPTIONS), several=True)]
 Engine = Literal["fused", "bf16", "compiled", "plain"]
+AutoEngine = Literal["auto", "fused", "bf16", "compiled", "plain"]
 Device = Literal["cpu", "cuda"]
 Channels = Annotated[tuple[str, ...], choice(CHANNELS, several=True)]
 PROTOCOLS = (

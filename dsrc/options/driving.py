@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from tyro.conf import Positional, arg
 
-from dsrc.options.detection import Engine
+from dsrc.options.detection import AutoEngine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, changed_radios, choice
 
 PERCEPTIONS = ("truth", "sight", "ego", "team", "late", "FILE", "MODEL.json", "MODULE:CLASS")
@@ -31,7 +31,8 @@ class DriveOptions(msgspec.Struct, frozen=True):
         delay_s: delay of messages, s; default: the channel's.
         pose_error: pose error of the helpers, m and deg; default: the channel's.
         seed: seeds of the episodes, one each; default: 0.
-        engine: execution of the network, see dsrc evaluate; default: fused.
+        engine: execution of the network, see dsrc evaluate; auto is bf16 where the processor computes it and the
+            detector is as good in it, else fused.
         driver: driver: plans by predicted tracks, or the careful driver of UN R157; default: planning.
         duration_s: longest episode, s; default: 20.
         detect_every_s: interval of detections, s; default: 0.1.
@@ -52,7 +53,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     delay_s: float | None = None
     pose_error: float | None = None
     seed: tuple[int, ...] = ()
-    engine: Engine | None = None
+    engine: AutoEngine = "auto"
     driver: Literal["planning", "careful"] | None = None
     duration_s: float | None = None
     detect_every_s: float | None = None

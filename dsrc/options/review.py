@@ -2,6 +2,7 @@
 
 from typing import Annotated, Literal
 
+from dsrc.options.detection import AutoEngine
 from dsrc.options.fields import CORRUPTIONS, Corrupted, Data, File, Folder, choice
 
 ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
@@ -15,11 +16,13 @@ class Review(Corrupted, frozen=True, kw_only=True):
         checkpoint: detector file whose detections are drawn and matched; default: no detections.
         corruption: corruption at the start.
         drives: folder of the drives of results or of a training, where they were moved; default: where they were.
+        engine: execution of the network, see dsrc drive.
     """
 
     checkpoint: File | None = None
     corruption: Annotated[str, choice(("clean", *CORRUPTIONS))] = "clean"
     drives: Folder | None = None
+    engine: AutoEngine = "auto"
 
 
 class ServeOptions(Review, frozen=True):

@@ -218,20 +218,23 @@ def _no_boxes() -> dict[str, Boxes]:
     return {name: Boxes.zeros() for name in LAYERS}
 
 
-def open_model(root: Path, checkpoint: Path | None = None, data: Path | None = None) -> ReviewModel:
+def open_model(
+    root: Path, checkpoint: Path | None = None, data: Path | None = None, engine: str = "auto"
+) -> ReviewModel:
     """Open what a path holds, see `open_sources`, and a detector.
 
     Args:
         root: drives, results of an evaluation or benchmark, a training, or episode logs.
         data: where the drives of results or of a training are now; None for where they were.
+        engine: execution of the network, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
 
     Raises:
         DataError: the path holds nothing of these, or something in it is damaged or of other data.
         CheckpointError: the checkpoint cannot be loaded.
     """
     root = Path(root)
-    sources = open_sources(root, data)
-    add_detectors(sources, [] if checkpoint is None else [str(checkpoint)])
+    sources = open_sources(root, data, engine)
+    add_detectors(sources, [] if checkpoint is None else [str(checkpoint)], engine)
     # Notes lie beside what they are about; a split of DAIR-V2X-C is no folder.
     notes = NoteBook(root if root.is_dir() else root.with_name(f"{root.name}.notes.json"))
     return ReviewModel(sources, notes=notes)

@@ -48,7 +48,9 @@ def main() -> None:
 def drive(scenario: str, perception: str, seed: int) -> dsrc.EpisodeLog:
     """Return the log of one drive, five percepts a second."""
     settings = dsrc.LoopSettings(duration_s=12.0, detect_every_s=0.2)
-    loop = dsrc.ClosedLoop(scenario, dsrc.open_perception(perception, interval_s=0.2), settings=settings)
+    loop = dsrc.ClosedLoop(
+        scenario, dsrc.open_perception(perception, interval_s=0.2, engine="fused"), settings=settings
+    )
     loop.run(seed)
     return loop.log(perception=perception)
 

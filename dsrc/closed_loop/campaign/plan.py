@@ -44,7 +44,7 @@ from dsrc.closed_loop.perception.open import (
     parse_perception,
     source_hash,
 )
-from dsrc.options.detection import Engine
+from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import RENAMED, changed_radios
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
@@ -108,7 +108,8 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         pose_error: pose error of the helpers, m and deg, likewise.
         clean_seeds: seeds of each scenario and perception without a corruption: a number of them, from 0, or a list.
         seeds: those of each scenario, perception, corruption, severity and channel; the same for all.
-        engine: execution of the network, see `dsrc.models.storage.deploy.ENGINES`.
+        engine: execution of the networks, see `dsrc.models.storage.deploy.ENGINES`; `auto` becomes the fastest that
+            serves all detectors of the campaign, see `with_engine`.
         driver: `planning`, or `careful` for the reference driver of UN R157.
         loop: intervals and limits of time.
         controls: drive the controls of encounters with the truth first, and refuse to continue where one fails.
@@ -128,7 +129,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     pose_error: float | None = None
     clean_seeds: Seeds = 20
     seeds: Seeds = 10
-    engine: Engine = "fused"
+    engine: AutoEngine = "auto"
     driver: Literal["planning", "careful"] = "planning"
     loop: LoopSettings = LoopSettings()
     controls: bool = True
@@ -182,7 +183,23 @@ def read_campaign(path: Path) -> Campaign:
     for field, expected in _without_effect(plan):
         if given.get(field) not in (None, [], [CLEAN], [IDEAL]):
             raise SettingsError(complaint(path, field, expected, f"{given[field]}"))
-    return plan
+    return with_engine(plan)
+
+
+def with_engine(plan: Campaign) -> Campaign:
+    """Return a campaign whose engine is no longer `auto`: one for all its detectors, so that they compare.
+
+    It is `bf16` where the processor computes it and all detector files are as good in it, else `fused`.
+    """
+    if plan.engine != "auto":
+        return plan
+    paths = {Path(one.checkpoint or SHIPPED_DETECTOR) for one in plan.perceptions if _has_file(one)}
+    if not paths:
+        return replace(plan, engine="fused")
+    from dsrc.models.storage.deploy import engine_for  # torch takes seconds to import
+
+    found = {engine_for(path) for path in sorted(paths)}
+    return replace(plan, engine=found.pop() if len(found) == 1 else "fused")
 
 
 def _without_effect(plan: Campaign) -> Iterator[tuple[str, str]]:
@@ -207,9 +224,9 @@ def campaign_of(options: DriveOptions) -> Campaign:
         SettingsError: invalid settings, or options beside a TOML.
     """
     given = {
-        name: value
-        for name in DriveOptions.__struct_fields__
-        if name != "what" and (value := getattr(options, name)) not in (None, ())
+        field.name: value
+        for field in msgspec.structs.fields(DriveOptions)
+        if field.name != "what" and (value := getattr(options, field.name)) != field.default
     }
     if options.what.endswith(".toml") and is_campaign(Path(options.what)):
         if given:
@@ -256,7 +273,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
     for field, expected in _without_effect(plan):
         if field in (*_OF_RADIO, "engine") and given.get(field) not in (None, (IDEAL,)):
             raise SettingsError(complaint("drive", field, expected, f"{given[field]}"))
-    return plan
+    return with_engine(plan)
 
 
 def is_campaign(path: Path) -> bool:
@@ -320,6 +337,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
 
     A perception without a sensor drives clean episodes only, one without helpers through the first channel only.
     """
+    plan = with_engine(plan)
     code, versions = code_hash(COMPUTED_BY), package_versions(COMPUTED_BY)
     hashes = {one.name: detector_hash(one.kind, one.checkpoint) for one in plan.perceptions}
     helped = {one.name: _has_helpers(one) for one in plan.perceptions}
@@ -423,6 +441,11 @@ def _cells(plan: Campaign, one: PerceptionSpec, seed: int, helped: bool) -> Iter
 
 def _has_detector(one: PerceptionSpec) -> bool:
     return one.kind not in (*WITHOUT_SENSOR, MODELLED)
+
+
+def _has_file(one: PerceptionSpec) -> bool:
+    """Whether a perception runs the network of a detector file."""
+    return _has_detector(one) and ":" not in one.kind
 
 
 def _has_helpers(one: PerceptionSpec) -> bool:

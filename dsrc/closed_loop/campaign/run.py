@@ -9,6 +9,7 @@ import csv
 import io
 import math
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -35,6 +36,7 @@ from dsrc.closed_loop.campaign.plan import (
     controls_of,
     detector_hash,
     episodes_of,
+    with_engine,
 )
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
@@ -45,7 +47,7 @@ from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
-from dsrc.runs.study import Study
+from dsrc.runs.study import Study, signature
 from dsrc.tables.files import csv_text
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, Condition
 from sim.errors import DataError, SettingsError, complaint, option
@@ -125,7 +127,7 @@ def run_campaign(
         SettingsError: a control fails with the truth.
         UserError: a file or a setting is wrong; all episodes that can be driven are there.
     """
-    began = time.monotonic()
+    began, plan = time.monotonic(), with_engine(plan)
     controls_plan = controls_of(plan) if plan.controls else None
     with locked(out, what="campaign"):
         folder = out / "episodes"
@@ -211,6 +213,28 @@ def take_episodes(plan: Campaign, out: Path, folders: Iterable[Path]) -> int:
         before = len(EPISODES.missing(out / "episodes", jobs))
         EPISODES.reuse(out / "episodes", jobs, folders)
         return before - len(EPISODES.missing(out / "episodes", jobs))
+
+
+def engines_there(plan: Campaign, folders: Iterable[Path]) -> Counter[str]:
+    """Count a campaign's missing episodes that folders of earlier campaigns have by another engine, by its name.
+
+    Args:
+        folders: the first is the campaign's own.
+    """
+    places = [folder / "episodes" for folder in folders]
+    jobs = {episode_key(job): job for job in _all_jobs(plan)}
+    missing = {_but_engine(decisive(job)): job.engine for job in EPISODES.missing(places[0], jobs).values()}
+    found: dict[str, str] = {}
+    for place in places if missing else []:
+        for path in sorted(place.glob("*.json")):
+            settings = stored_settings(place, path.stem)
+            if settings is not None and missing.get(known := _but_engine(settings), own := settings["engine"]) != own:
+                found[known] = own
+    return Counter(found.values())
+
+
+def _but_engine(settings: dict[str, Any]) -> str:
+    return signature(settings | {"engine": ""})
 
 
 def _all_jobs(plan: Campaign) -> list[EpisodeJob]:
@@ -341,7 +365,8 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
     )
     used: dict[str, Any] = {
         "channel": (radios or (IDEAL if asked else settings.channel,))[0],
-        "engine": options.engine or settings.engine,
+        # The same eyes again are the same engine.
+        "engine": options.engine if asked or options.engine != "auto" else settings.engine,
     }
     perception = open_perception(
         uses,
@@ -351,6 +376,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         look_ahead_s=settings.loop.get("look_ahead_s", 0.0) if options.look_ahead_s is None else options.look_ahead_s,
         **used,
     )
+    used["engine"] = getattr(perception, "engine", settings.engine)
     driver = options.driver or settings.driver
     again = replay(former, perception, uses, DRIVERS[driver]())
     if options.perception or options.checkpoint:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dsrc.closed_loop.campaign.critical import CriticalValue, critical_value
 from dsrc.closed_loop.campaign.episode import DRIVERS
-from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
+from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec, with_engine
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR, open_perception
 from dsrc.closed_loop.types import Outcome, Perception
@@ -59,6 +59,7 @@ def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], No
     Raises:
         SettingsError: the plan has more episodes than one, or none that the quantity changes.
     """
+    plan = with_engine(plan)
     kind = _corruption(plan, quantity)
     one, seed = _single(plan, kind, quantity)
     outcomes: dict[float, Outcome] = {}

@@ -32,6 +32,7 @@ class DetectorPerception:
         interval_s: time between percepts, s, thus between the helpers' messages.
         look_ahead_s: reaction time of the stopping distance that the detector's range is shifted ahead to cover, s, by
             half its reach at most; 0: no shift.
+        engine: execution of the detector's network, for logs.
 
     Raises:
         SettingsError: `look_ahead_s` is not finite or below 0, or not 0 for a network that encodes each cloud in its
@@ -47,8 +48,9 @@ class DetectorPerception:
         channel: ChannelSpec = PRESETS[IDEAL],
         interval_s: float = 0.1,
         look_ahead_s: float = 0.0,
+        engine: str = "fused",
     ) -> None:
-        self.detector, self.cooperative, self.channel = detector, cooperative, channel
+        self.detector, self.cooperative, self.channel, self.engine = detector, cooperative, channel, engine
         self.senses = Senses(condition or Condition(), cooperative)
         if not (math.isfinite(look_ahead_s) and look_ahead_s >= 0.0):
             raise SettingsError(complaint("perception", "look_ahead_s", "seconds >= 0", f"{look_ahead_s:g}"))

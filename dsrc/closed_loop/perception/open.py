@@ -54,7 +54,7 @@ def open_perception(
     channel: str | ChannelSpec = IDEAL,
     interval_s: float = 0.1,
     look_ahead_s: float = 0.0,
-    engine: str = "fused",
+    engine: str = "auto",
     device: Literal["cpu", "cuda"] = "cpu",
     who: CorruptedAgents | str | None = None,
 ) -> Perception:
@@ -80,7 +80,8 @@ def open_perception(
         channel: name or settings of the radio channel; it does not matter without helpers.
         interval_s: time between percepts, s.
         look_ahead_s: shift of a detector's range, see `LoopSettings`.
-        engine: execution of the network, see `dsrc.models.storage.deploy.ENGINES`.
+        engine: execution of the network, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`; the perception's
+            `engine` is what runs.
         device: of the network.
         who: former name of `corrupted_agents`.
 
@@ -106,7 +107,7 @@ def open_perception(
     detector: Any
     if ":" in name:
         _refuse(text, "a checkpoint", {"checkpoint": checkpoint is not None})
-        detector = _own(name)
+        detector, engine = _own(name), "fused"
         if hasattr(detector, "perceive"):
             _refuse(text, "a detector", {"corruption": corrupted, "channel": radio != _IDEAL})
             return cast(Perception, detector)
@@ -117,7 +118,7 @@ def open_perception(
         if not file and name not in _NAMES:
             hint = did_you_mean(name, _NAMES)
             raise SettingsError(complaint("perception", "name", "a name, FILE, NAME=FILE or module:Class", name, hint))
-        detector = _loaded(path, device, engine, late=name == LATE)
+        detector, engine = _loaded(path, device, engine, late=name == LATE)
     from dsrc.closed_loop.perception.detector import DetectorPerception
 
     cooperative = name != ALONE
@@ -129,6 +130,7 @@ def open_perception(
         channel=spec,
         interval_s=interval_s,
         look_ahead_s=look_ahead_s,
+        engine=engine,
     )
 
 
@@ -203,10 +205,13 @@ def _modelled(text: str, file: Path | None, condition: Condition, channel: str |
     return ModelPerception(model, model.errors(file, condition, channel))
 
 
-def _loaded(path: Path, device: str, engine: str, late: bool) -> SampleDetector:
+def _loaded(path: Path, device: str, engine: str, late: bool) -> tuple[SampleDetector, str]:
+    """Return the detector of a file and the engine that runs it."""
     from dsrc.models.storage.checkpoint import load_joined
+    from dsrc.models.storage.deploy import engine_for
 
-    return load_joined(path, device, engine, LATE if late else "")
+    chosen = engine_for(path, engine, device)
+    return load_joined(path, device, chosen, LATE if late else ""), chosen
 
 
 def _own(text: str) -> Any:

@@ -11,11 +11,11 @@ from msgspec.structs import replace
 from dsrc.models.detector import Detector
 from dsrc.models.joined import JoinedDetectors
 from dsrc.models.settings import ModelSettings
-from dsrc.models.storage.deploy import ENGINES
+from dsrc.models.storage.deploy import ENGINES, engine_for
 from dsrc.models.storage.published import filled
 from dsrc.models.storage.tensors import is_plain, read_tensors
 from dsrc.ops.anchors import ANCHORS
-from sim.errors import CheckpointError, SettingsError, complaint, did_you_mean
+from sim.errors import CheckpointError, complaint
 from sim.files import replacing
 
 FORMAT = "dsrc-detector-1"
@@ -56,13 +56,19 @@ def join_files(paths: Sequence[Path], out: Path) -> None:
     _save(out, {"format": JOINED, "detectors": contents})
 
 
-def load_detector(path: Path, device: str = "cpu") -> Detector:
-    """Read a detector file, in evaluation mode and full precision.
+def load_detector(path: Path, device: str = "cpu", engine: str = "plain") -> Detector:
+    """Read a detector file, in evaluation mode.
+
+    Args:
+        engine: `plain` for the network as it is trained, else for inference alone: `auto` for the fastest, or a key of
+            `ENGINES`, see `engine_for`.
 
     Raises:
         CheckpointError: the file is missing, damaged, not a detector, or of another version of the network.
+        SettingsError: the engine is unknown, or missing on this machine.
     """
-    return _detector(path, _content(Path(path))).to(device)
+    detector = _detector(path, _content(Path(path))).to(device)
+    return ENGINES[engine_for(path, engine, device)](detector)
 
 
 def _detector(path: Path, content: Mapping[str, object]) -> Detector:
@@ -82,7 +88,7 @@ def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Dete
     """Read a student for inference, optimised by `dsrc.models.storage.deploy`.
 
     Args:
-        engine: key of `ENGINES`.
+        engine: key of `ENGINES`, or `auto`, see `engine_for`.
 
     Raises:
         CheckpointError: as `load_detector`, or the file holds a teacher.
@@ -110,14 +116,13 @@ def load_joined(path: Path, device: str = "cpu", engine: str = "fused", fusion: 
 
 
 def _student(path: Path, content: Mapping[str, object], device: str, engine: str, fusion: str = "") -> Detector:
-    if engine not in ENGINES:
-        raise SettingsError(f"engine: unknown '{engine}'{did_you_mean(engine, ENGINES)}")
+    chosen = ENGINES[engine_for(path, engine, device)]
     detector = _detector(path, content).to(device)
     if detector.settings.role != "student":
         hint = "; a teacher reads clouds that are made with ground truth"
         raise CheckpointError(complaint(path, "settings.role", "student", detector.settings.role, hint))
     # Weights of optimised networks have other names: first the fusion is exchanged.
-    return ENGINES[engine](with_fusion(detector, fusion) if fusion else detector)
+    return chosen(with_fusion(detector, fusion) if fusion else detector)
 
 
 def with_fusion(detector: Detector, fusion: str) -> Detector:

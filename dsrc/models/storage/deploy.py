@@ -10,10 +10,13 @@ These layers cannot be trained, and their state dict has other names than a dete
 """
 
 import copy
+import logging
 import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -24,10 +27,16 @@ from dsrc.models.layers.backbones import BasicBlock, Res2Block, Res2Net
 from dsrc.models.layers.blocks import Decoder
 from dsrc.models.layers.encoder import PillarEncoder, PillarMap, Pillars
 from dsrc.ops.pillars import pillar_maxima
-from sim.errors import SettingsError, complaint
+from sim.errors import SettingsError, complaint, did_you_mean
+from sim.files import file_sha256
 
+LOG = logging.getLogger(__name__)
 BFLOAT16 = torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
 """Whether the processor computes convolutions in bfloat16."""
+FLOAT32_ONLY: frozenset[str] = frozenset()
+"""SHA-256 of detector files that lose more average precision in bfloat16 than `studies/bf16_gate.py` allows."""
+AUTO = "auto"
+"""Name that stands for the engine of `engine_for`."""
 _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
 
 
@@ -84,6 +93,37 @@ ENGINES: dict[str, Callable[[Detector], Detector]] = {
     "plain": lambda detector: detector,
 }
 """Ways to run a detector, by name."""
+
+
+def engine_for(path: Path, engine: str = AUTO, device: str = "cpu") -> str:
+    """Return the name of the engine that runs a detector file: the one that is asked for, or the choice of `auto`.
+
+    `auto` is `bf16` on a CPU that computes it, with a detector that is as good in it, else `fused`. Keys, logs and
+    reports hold what is returned, so that results of two machines are never taken for each other.
+
+    Raises:
+        SettingsError: the name is unknown.
+    """
+    if engine != AUTO:
+        if engine not in ENGINES:
+            raise SettingsError(f"engine: unknown '{engine}'{did_you_mean(engine, (AUTO, *ENGINES))}")
+        return engine
+    if device != "cpu":
+        chosen, why = "fused", f"the device is {device}"
+    elif not BFLOAT16:
+        chosen, why = "fused", "the processor has no bfloat16"
+    elif path.is_file() and file_sha256(path) in FLOAT32_ONLY:
+        chosen, why = "fused", "the detector loses average precision in bfloat16"
+    else:
+        chosen, why = "bf16", "the processor computes bfloat16"
+    _tell(path, chosen, why)
+    return chosen
+
+
+@cache
+def _tell(path: Path, engine: str, why: str) -> None:
+    """Log a choice, once in a process."""
+    LOG.info("engine %s, since %s: %s", engine, why, path)
 
 
 def _fuse_children(module: nn.Module) -> None:

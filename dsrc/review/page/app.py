@@ -232,7 +232,7 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
     """
     Condition.of(options.corruption, options.severity, options.family, options.corrupted_agents).checked()
     port = checked_port(options.host, options.port)
-    model = open_model(options.data, options.checkpoint, options.drives)
+    model = open_model(options.data, options.checkpoint, options.drives, options.engine)
     start = first_state(model, options)
     server = start_server(options.host, port)
     app = ReviewApp(model, server, start)

@@ -15,7 +15,7 @@ from dsrc.review.sources.results import open_results, open_shares
 from sim.errors import DataError, SettingsError, complaint
 
 
-def open_sources(path: Path, data: Path | None = None) -> list[Source]:
+def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> list[Source]:
     """Open what a path holds.
 
     | path                                  | sources                                        |
@@ -29,6 +29,7 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
 
     Args:
         data: where the drives of results or of a training are now; None for where they were.
+        engine: execution of the network of a training, see `add_detectors`.
 
     Raises:
         DataError: the path holds none of these, or something in it is damaged or of other data.
@@ -43,7 +44,7 @@ def open_sources(path: Path, data: Path | None = None) -> list[Source]:
         # Torch and Lightning take seconds to import.
         from dsrc.review.sources.training import open_training
 
-        return [*open_training(run, data)]
+        return [*open_training(run, data, engine)]
     if data is not None:
         expected = f"{FILE} of dsrc evaluate or benchmark, {SHARES} of dsrc shares or settings.json of dsrc model train"
         raise DataError(complaint(path, "drives", expected, "none of them"))
@@ -76,11 +77,12 @@ def _is_log(path: Path) -> bool:
         return False
 
 
-def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str]) -> None:
+def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str], engine: str = "auto") -> None:
     """Add a computed set for each detector to each source.
 
     Args:
         checkpoints: detector files, FILE or NAME=FILE.
+        engine: execution of their networks, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
 
     Raises:
         CheckpointError: a file is missing, damaged or of another model.
@@ -95,6 +97,6 @@ def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str]) -> None
     for name, path in named(checkpoints):
         if name in detectors or any(name in source.sets for source in sources):
             raise SettingsError(complaint("view", "checkpoint", "names that differ", name, "; give names: name=path"))
-        detectors[name] = load_student(Path(path))
+        detectors[name] = load_student(Path(path), engine=engine)
     for source in sources:
         source.sets.update({name: ComputedSet(name, detector) for name, detector in detectors.items()})

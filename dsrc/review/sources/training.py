@@ -20,11 +20,13 @@ NEWEST = "newest weights"
 """Name of the set of detections."""
 
 
-def open_training(run: Path, data: Path | None = None) -> list[DriveSource]:
+def open_training(run: Path, data: Path | None = None, engine: str = "auto") -> list[DriveSource]:
     """Open the validation drives of a training.
 
     Args:
         data: folder of the drives now; None for where they were.
+        engine: execution of the network, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`; that of a checkpoint
+            is plain.
 
     Raises:
         DataError: the record is damaged, or the training has no validation drives of its own, or they are missing.
@@ -45,18 +47,18 @@ def open_training(run: Path, data: Path | None = None) -> list[DriveSource]:
     if missing:
         hint = "; give the folder of its drives by --drives"
         raise DataError(complaint(place, "drives", missing[0], "none", hint))
-    detector = _newest(folder, recipe, record.settings.stage)
+    detector = _newest(folder, recipe, record.settings.stage, engine)
     sources = [DriveSource(open_drive(found[name])) for name in sorted(record.validation)]
     for source in sources:
         source.sets[NEWEST] = ComputedSet(NEWEST, detector)
     return sources
 
 
-def _newest(folder: RunFolder, recipe: Recipe, stage: Stage) -> SampleDetector:
+def _newest(folder: RunFolder, recipe: Recipe, stage: Stage, engine: str) -> SampleDetector:
     """Detector of a finished training, else the best validated weights, else those of the last checkpoint."""
     for path in (folder.detector, folder.best):
         if path.is_file():
-            return load_student(path)
+            return load_student(path, engine=engine)
     model = recipe.settings(stage)
     if model.role != "student":
         hint = "; a teacher reads clouds that are made with ground truth"

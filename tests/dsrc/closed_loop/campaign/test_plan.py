@@ -20,6 +20,7 @@ from dsrc.closed_loop.campaign.plan import (
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.options.driving import DriveOptions
 from sim.errors import SettingsError
+from sim.files import file_sha256
 from tests.dsrc.closed_loop.campaign.blind import PLAN
 
 
@@ -41,6 +42,28 @@ def test_the_engine_decides_cells_of_networks_alone() -> None:
     changed = [one.uses for one, other in zip(fused, half, strict=True) if episode_key(one) != episode_key(other)]
     assert set(changed) == {"ego"} and len(changed) == 2
     assert campaign_of(DriveOptions(what="ima_building", perception=("ego",), engine="bf16")).engine == "bf16"
+
+
+def test_keys_and_plans_hold_the_engine_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = DriveOptions(what="ima_building", perception=("truth", "ego"))
+    keys = []
+    for half, engine in ((True, "bf16"), (False, "fused")):
+        monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", half)
+        plan = campaign_of(asked)
+        own = episodes_of(replace(plan, engine="auto"))
+        assert plan.engine == engine and episodes_of(plan) == own
+        assert [job.engine for job in own] == ["fused", engine]
+        keys.append([episode_key(job) for job in own])
+    assert keys[0][0] == keys[1][0] and keys[0][1] != keys[1][1]
+
+
+def test_a_campaign_has_one_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    poor = tmp_path / "poor.pt"
+    poor.write_bytes(b"weights")
+    monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", True)
+    monkeypatch.setattr("dsrc.models.storage.deploy.FLOAT32_ONLY", frozenset({file_sha256(poor)}))
+    for names, engine in ((("team",), "bf16"), (("team", f"poor={poor}"), "fused"), (("truth",), "fused")):
+        assert campaign_of(DriveOptions(what="ima_building", perception=names)).engine == engine
 
 
 def test_names_and_paths_decide_nothing() -> None:

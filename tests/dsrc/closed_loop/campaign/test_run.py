@@ -24,7 +24,15 @@ from dsrc.closed_loop.campaign import run as runner
 from dsrc.closed_loop.campaign.plan import (
     PerceptionSpec,
 )
-from dsrc.closed_loop.campaign.run import drive_episodes, read_results, replay_at, reused, run_campaign, take_episodes
+from dsrc.closed_loop.campaign.run import (
+    drive_episodes,
+    engines_there,
+    read_results,
+    replay_at,
+    reused,
+    run_campaign,
+    take_episodes,
+)
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
@@ -105,6 +113,13 @@ def test_episodes_of_other_code_are_taken_from_an_earlier_folder(
         take_episodes(PLAN, out, [tmp_path])
     with pytest.raises(DataError, match=r"none: reuse: expected a folder of a campaign, or its results\.csv"):
         read_results([tmp_path / "none"])
+
+
+def test_episodes_of_another_engine_are_counted(driven: Path, tmp_path: Path) -> None:
+    other = replace(PLAN, engine="plain")
+    assert engines_there(other, [tmp_path, driven]) == {"fused": 2}, "the truth has no engine"
+    assert not engines_there(PLAN, [driven]) and not engines_there(PLAN, [tmp_path, driven])
+    assert not engines_there(replace(other, driver="careful"), [driven])
 
 
 def changed(text: str, column: str, value: str) -> str:

@@ -54,6 +54,14 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(__import__("sys").modules, "my_eyes", raising=False)
 
 
+def test_the_engine_of_a_detector_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", False)
+    assert open_perception("team").engine == "fused"  # type: ignore[attr-defined]
+    assert open_perception("team", engine="plain").engine == "plain"  # type: ignore[attr-defined]
+    with pytest.raises(SettingsError, match="engine: bf16: expected a processor with bfloat16"):
+        open_perception("team", engine="bf16")
+
+
 def test_truth_and_sight() -> None:
     assert type(open_perception("truth")) is TruthPerception
     assert type(open_perception("sight")) is SightPerception

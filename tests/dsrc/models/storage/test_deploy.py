@@ -1,6 +1,8 @@
 """A detector made fast for use says what the plain one says."""
 
+import logging
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +15,10 @@ from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.layers.encoder import PillarEncoder, PillarMap, Pillars
-from dsrc.models.storage.deploy import BFLOAT16, ENGINES, FusedConv, FusedEncoder, deployed
+from dsrc.models.storage.deploy import BFLOAT16, ENGINES, FusedConv, FusedEncoder, deployed, engine_for
 from dsrc.training.recipes import debug
 from sim.errors import SettingsError
+from sim.files import file_sha256
 
 AGENTS = (2, 1)
 
@@ -86,6 +89,28 @@ def test_a_processor_without_bfloat16_says_so(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", False)
     with pytest.raises(SettingsError, match=r"^engine: bf16: expected a processor with bfloat16 .*, found none"):
         ENGINES["bf16"](a_detector())
+
+
+def test_auto_is_bfloat16_where_the_processor_computes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    weights = tmp_path / "detector.pt"
+    weights.write_bytes(b"weights")
+    caplog.set_level(logging.INFO, "dsrc.models.storage.deploy")
+    monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", True)
+    assert engine_for(weights) == "bf16" and engine_for(weights, device="cuda") == "fused"
+    monkeypatch.setattr("dsrc.models.storage.deploy.FLOAT32_ONLY", frozenset({file_sha256(weights)}))
+    assert engine_for(weights) == "fused"
+    monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", False)
+    assert engine_for(weights) == "fused"
+    reasons = ("processor computes bfloat16", "device is cuda", "loses average precision", "processor has no bfloat16")
+    assert [why in text for why, text in zip(reasons, caplog.messages, strict=True)] == [True] * 4
+
+
+def test_an_engine_that_is_asked_for_is_no_other() -> None:
+    assert [engine_for(Path("no.pt"), name) for name in ENGINES] == list(ENGINES)
+    with pytest.raises(SettingsError, match="engine: unknown 'atuo'; did you mean 'auto'"):
+        engine_for(Path("no.pt"), "atuo")
 
 
 @pytest.mark.skipif(not BFLOAT16, reason="needs a processor with bfloat16")
