@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dsrc.data.formats.opv2v.reader import PROTOCOL, frame_files
+from dsrc.data.formats.opv2v.reader import PROTOCOL, Clouds, frame_files
 from dsrc.data.formats.yaml import emit, read_yaml
 from sim.errors import DataError, complaint
 from sim.files import write_file
@@ -43,6 +43,6 @@ def read_settings(drive: Path) -> dict | None:
     return settings
 
 
-def is_complete(drive: Path, agent_ids: Sequence[int], index: int) -> bool:
+def is_complete(drive: Path, agent_ids: Sequence[int], index: int, clouds: Clouds = "pcd") -> bool:
     """Return whether all files of a frame exist; each is written atomically."""
-    return all(path.exists() for path in frame_files(drive, agent_ids, index))
+    return all(path.exists() for path in frame_files(drive, agent_ids, index, clouds))

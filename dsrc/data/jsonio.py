@@ -22,7 +22,11 @@ def read_json(path: Path, kind: type[T]) -> T:
     Raises:
         DataError: the file is missing, is not JSON, or a value is missing or of another type.
     """
-    content = read_bytes(path, "JSON file")
+    return decode_json(path, read_bytes(path, "JSON file"), kind)
+
+
+def decode_json(path: Path, content: bytes, kind: type[T]) -> T:
+    """Return JSON that a file holds; raises as `read_json`."""
     with parsing(path, "JSON file"):
         try:
             return msgspec.json.decode(content, type=kind, strict=False)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dsrc.data.changes import at_place, with_sensors
 from dsrc.data.checksums import CHECKSUMS, Written, write_checksums
 from dsrc.data.drive_folder import is_complete, read_settings, write_protocol
-from dsrc.data.formats.opv2v.reader import PROTOCOL, agent_table, write_frame
+from dsrc.data.formats.opv2v.reader import CLOUDS, PROTOCOL, agent_table, with_clouds, write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
 from dsrc.options.drives import DriveOptions, GenerateOptions
 from dsrc.options.fields import takes_fields
@@ -78,7 +78,7 @@ class DriveSpec(DriveOptions, frozen=True):
 
     def settings(self) -> dict:
         """Return all settings that decide the drive's bytes, as plain values."""
-        return {
+        settings = {
             "format": FORMAT,
             "scenario": msgspec.to_builtins(self.scenario),
             "seed": int(self.seed),
@@ -90,6 +90,7 @@ class DriveSpec(DriveOptions, frozen=True):
             "materials": [material.name for material in MATERIALS],
             "axes": "CARLA: y mirrored, angles in degrees, half extents",
         }
+        return with_clouds(settings, self.clouds)
 
     def check(self, where: str = "generate") -> None:
         """Check the ranges of all settings.
@@ -247,14 +248,14 @@ def write_drive(
 
     Args:
         settings: of the drive, plain values; must hold `frames`, `interval_s`, `seed`, `connected_vehicles` and
-            `motion`.
+            `motion`; of compact clouds also `clouds`.
         open_source: opens the frames; not called for a finished drive.
         progress: called once at the start and after every frame.
         patience_s: time to wait for another process in the folder, s.
         watch: called with every frame that is written.
     """
     report = progress or (lambda done, total: None)
-    frames = settings["frames"]
+    frames, clouds = settings["frames"], settings.get("clouds", "pcd")
     with locked(drive, patience_s):
         found = read_settings(drive)
         agents: dict = {}
@@ -264,12 +265,12 @@ def write_drive(
         else:
             # The protocol is written before any frame: these are another program's.
             for path in sorted(drive.glob("*/*")):
-                if path.parent.name.lstrip("-").isdecimal() and path.suffix in (".pcd", ".yaml"):
+                if path.parent.name.lstrip("-").isdecimal() and path.suffix[1:] in (*CLOUDS, "yaml"):
                     check_output(path)
             # Without a protocol the settings of a log or a world are unknown.
             for name in (TRAFFIC_LOG, WORLD):
                 (drive / name).unlink(missing_ok=True)
-        missing = [i for i in range(frames) if not agents or not is_complete(drive, list(agents), i)]
+        missing = [i for i in range(frames) if not agents or not is_complete(drive, list(agents), i, clouds)]
         done, written = frames - len(missing), Written()
         report(done, frames)
         if missing:
@@ -289,6 +290,7 @@ def write_drive(
                         settings["connected_vehicles"],
                         source.plans(i),
                         motion=settings["motion"],
+                        clouds=clouds,
                         write=written.write,
                     )
                     if watch is not None:

@@ -13,6 +13,7 @@ from dsrc.data.checksums import read_checksums
 from dsrc.data.datasets.manifest import read_manifest
 from dsrc.data.datasets.spec import expand, find_split_file, log_settings, read_dataset
 from dsrc.data.drives import open_drive
+from dsrc.data.formats.opv2v.compact import encode_compact, read_compact
 from dsrc.data.formats.pcd import encode_pcd, read_pcd
 from dsrc.data.write import write_drive
 from dsrc.evaluation.config import check as check_plan
@@ -125,8 +126,9 @@ def _drives(folder: Path) -> list[Target]:
 
 def _clouds(folder: Path) -> list[Target]:
     sweep = toy_frame(0, points=30).agents[0].sweep
-    binary, text = folder / "binary.pcd", folder / "text.pcd"
+    binary, text, compact = folder / "binary.pcd", folder / "text.pcd", folder / "points.compact"
     binary.write_bytes(encode_pcd(sweep))
+    compact.write_bytes(encode_compact(sweep))
     head = (
         "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\n"
     )
@@ -141,6 +143,7 @@ def _clouds(folder: Path) -> list[Target]:
         Target("PCD, binary", binary, read_pcd, "text"),
         Target("PCD, ASCII", text, read_pcd, "text"),
         Target("PCD, compressed", packed, read_pcd, "text"),
+        Target("compact cloud", compact, read_compact, "text"),
     ]
 
 

@@ -5,7 +5,7 @@ are not finite, boxes without size, points of objects without a box, wrong point
 jump.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,8 @@ import numpy as np
 from dsrc.data.checksums import CHECKSUMS, faulty_files
 from dsrc.data.datasets.manifest import MANIFEST, read_manifest
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.data.formats.opv2v.reader import own_settings
+from dsrc.data.formats.opv2v.compact import read_compact
+from dsrc.data.formats.opv2v.reader import CLOUDS, clouds_of, own_settings
 from dsrc.data.formats.opv2v.record import read_agent
 from dsrc.data.formats.pcd import read_pcd
 from dsrc.runs.executors import SERIAL, Pool, Progress
@@ -114,20 +115,23 @@ def _check_drive(path: Path, report: Progress) -> list[Fault]:
 
 def _files_of(drive: Path, stem: str = "*") -> list[Fault]:
     """Return the faults of an OPV2V tree's files one by one: a reader stops at the first."""
-    faults, stems = [], set()
+    faults: list[Fault] = []
+    files: list[Path] = []
     folders = [p for p in sorted(drive.glob("*")) if p.is_dir() and p.name.lstrip("-").isdecimal()]
     for folder in folders:
-        stems |= {path.stem for path in folder.glob(f"{stem}.yaml") if path.stem.isdecimal()}
-        stems |= {path.stem for path in folder.glob(f"{stem}.pcd") if path.stem.isdecimal()}
+        files += [path for ending in (*CLOUDS, "yaml") for path in folder.glob(f"{stem}.{ending}")]
+    stems = {path.stem for path in files if path.stem.isdecimal()}
+    clouds = next((path.suffix[1:] for path in files if path.suffix != ".yaml"), CLOUDS[0])
+    readers: dict[str, Callable[[Path], object]] = {"yaml": read_agent, "pcd": read_pcd, "compact": read_compact}
     for folder in folders:
         for name in sorted(stems):
-            for ending in ("yaml", "pcd"):
+            for ending in ("yaml", clouds):
                 path = folder / f"{name}.{ending}"
                 if not path.is_file():
                     faults.append(Fault(str(path), "file is missing"))
                     continue
                 try:
-                    read_agent(path) if ending == "yaml" else read_pcd(path, np.eye(4), 0.0)
+                    readers[ending](path)
                 except DataError as error:
                     faults.append(Fault("", str(error)))
     return faults
@@ -146,7 +150,7 @@ def _frame_faults(drive: Drive, i: int, frame: Frame, before: Frame | None) -> I
     if (count > 1).any():
         yield notes[0], f"object {known[count > 1][0]} is listed twice"
     for row, agent in enumerate(frame.agents):
-        points = _places(drive, i, "pcd")[row]
+        points = _places(drive, i, clouds_of(drive.drive, drive.protocol))[row]
         yield from ((points, text) for text in _sweep_faults(agent))
         if "format" in own and not own.get("corruptions") and (agent.sweep.object_id >= 0).any():
             yield from ((points, text) for text in _label_faults(frame, row))

@@ -1,4 +1,4 @@
-"""Conversion of drives, any supported format, to OPV2V, DAIR-V2X-C, KITTI or MCAP.
+"""Conversion of drives, any supported format, to OPV2V, with PCD or compact clouds, DAIR-V2X-C, KITTI or MCAP.
 
 A drive is a work item, written frame by frame, each file completely or not at all; an interrupted run resumes. A folder
 that holds something else is refused.
@@ -21,9 +21,11 @@ from dsrc.data.formats.kitti import KittiWriter, LabelView
 from dsrc.data.formats.mcap import McapFile
 from dsrc.data.formats.opv2v.reader import (
     PROTOCOL,
+    Clouds,
     agent_table,
     lists_connected_vehicles,
     own_settings,
+    with_clouds,
     write_frame,
 )
 from dsrc.data.jsonio import encode_json, read_json
@@ -38,7 +40,7 @@ from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import remove_leftovers, replacing, write_file
 
-Format = Literal["opv2v", "dair", "kitti", "mcap"]
+Format = Literal["opv2v", "compact", "dair", "kitti", "mcap"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
 CONVERSION = "conversion.json"
@@ -96,7 +98,8 @@ class ConvertJob:
 def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | None = None) -> Path:
     """Write the drives at or below a folder in another format; an interrupted run resumes.
 
-    DAIR-V2X-C has one ego, its vehicle's side, and KITTI a frame for each chosen agent; OPV2V and MCAP hold all agents.
+    DAIR-V2X-C has one ego, its vehicle's side, and KITTI a frame for each chosen agent; OPV2V, compact or not, and MCAP
+    hold all agents.
 
     Args:
         options: drives, folder, format and what is written, see `ConvertOptions`; or these as arguments.
@@ -179,7 +182,7 @@ def _check_options(options: ConvertOptions) -> None:
     to, agent, view = options.to, options.agent_id, options.view
     if to not in FORMATS:
         raise SettingsError(complaint("convert", "to", "a format", to, did_you_mean(to, FORMATS)))
-    if agent is not None and to in ("opv2v", "mcap"):
+    if agent is not None and to in ("opv2v", "compact", "mcap"):
         raise SettingsError(f"convert: --to {to} holds all agents; leave out --agent-id")
     if agent is not None and agent not in (_EGO, _ALL) and not re.fullmatch(r"-?\d{1,10}", agent):
         raise SettingsError(complaint("convert", "agent_id", "ego, all or the id of an agent", agent))
@@ -251,9 +254,11 @@ class _Writer:
 class _Opv2v(_Writer):
     """Drives of ours: everything that a frame holds."""
 
+    clouds: Clouds = "pcd"
+
     def done(self, source: Source, i: int) -> bool:
         folder = self.out / source.name
-        return (folder / PROTOCOL).exists() and is_complete(folder, source.agents, source.frames[i])
+        return (folder / PROTOCOL).exists() and is_complete(folder, source.agents, source.frames[i], self.clouds)
 
     def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
         folder = self.out / source.name
@@ -268,8 +273,8 @@ class _Opv2v(_Writer):
                 converted = {"format": drive.format, "drive": source.name, "sha256": self.mark.drives[source.name]}
                 own = {"frames": len(drive), "agents": agent_table(frame), "converted": converted}
                 protocol = {**protocol, "testbed": own}
-            write_protocol(folder, protocol)
-        write_frame(folder, frame, lists_connected_vehicles(drive.protocol), drive.plans(i))
+            write_protocol(folder, {**protocol, "testbed": with_clouds(own_settings(protocol), self.clouds)})
+        write_frame(folder, frame, lists_connected_vehicles(drive.protocol), drive.plans(i), clouds=self.clouds)
 
     def finish(self, sources: Sequence[Source]) -> None:
         for source in sources:
@@ -281,6 +286,12 @@ def _beside(drive: Path) -> list[Path]:
     """Return the files of a drive beside its frames and its protocol, such as the traffic log."""
     files = (path for path in sorted(drive.iterdir()) if path.is_file() and not path.name.startswith("."))
     return [path for path in files if path.name not in (PROTOCOL, CHECKSUMS)]
+
+
+class _Compact(_Opv2v):
+    """Drives of ours with compact clouds."""
+
+    clouds = "compact"
 
 
 class _Dair(_Writer):
@@ -369,6 +380,7 @@ class _Mcap(_Writer):
 
 _WRITERS: dict[Format, Callable[[Path, Conversion], _Writer]] = {
     "opv2v": _Opv2v,
+    "compact": _Compact,
     "dair": _Dair,
     "kitti": _Kitti,
     "mcap": _Mcap,

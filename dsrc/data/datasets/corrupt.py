@@ -17,6 +17,7 @@ from dsrc.data.drives import Drive, find_drives, open_drive, path_below
 from dsrc.data.formats.opv2v.reader import (
     PROTOCOL,
     agent_table,
+    clouds_of,
     frame_files,
     lists_connected_vehicles,
     own_settings,
@@ -92,6 +93,7 @@ class FrameJob:
 def _series(job: CorruptionJob, reader: Drive, chunk: int) -> Series[FrameJob, Frame]:
     """Return the frames of a drive as a series, its protocol as their record."""
     protocol = _protocol(job, reader)
+    clouds = clouds_of(reader.drive, protocol)
 
     def note(first: Frame) -> None:
         """Write the protocol with the sensors of the first frame."""
@@ -106,8 +108,8 @@ def _series(job: CorruptionJob, reader: Drive, chunk: int) -> Series[FrameJob, F
         note=note,
         make=corrupted,
         write=_write,
-        files=lambda folder, frame: frame_files(folder, reader.agents, reader.frames[frame.row]),
-        fresh=lambda folder, frame: is_complete(folder, reader.agents, reader.frames[frame.row]),
+        files=lambda folder, frame: frame_files(folder, reader.agents, reader.frames[frame.row], clouds),
+        fresh=lambda folder, frame: is_complete(folder, reader.agents, reader.frames[frame.row], clouds),
         chunk=chunk,
     )
 
@@ -130,7 +132,8 @@ def corrupted(job: FrameJob) -> Frame:
 
 def _write(job: FrameJob, frame: Frame) -> None:
     reader = _reader(job.drive.source)
-    write_frame(job.drive.out, frame, lists_connected_vehicles(reader.protocol), reader.plans(job.row))
+    listed, clouds = lists_connected_vehicles(reader.protocol), clouds_of(reader.drive, reader.protocol)
+    write_frame(job.drive.out, frame, listed, reader.plans(job.row), clouds=clouds)
 
 
 def _protocol(job: CorruptionJob, reader: Drive) -> dict:

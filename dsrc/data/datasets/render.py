@@ -28,6 +28,9 @@ from sim.settings import convert
 from sim.traffic.log import TrafficLog
 from sim.traffic.tracks.open import READERS
 
+_KEPT = ("connected_vehicles", "motion", "visibility", "clouds")
+"""Settings of the recorded drive that the new one has too."""
+
 
 @dataclass(frozen=True, slots=True)
 class RenderJob:
@@ -128,7 +131,7 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
     scenario = convert(changed, Scenario, f"{log}: with these changes", SettingsError)
     # Settings that a log lacks are those of the drive beside it.
     settings = read_settings(log.parent) if (log.parent / PROTOCOL).exists() else None
-    kept = {name: settings[name] for name in ("connected_vehicles", "motion", "visibility")} if settings else {}
+    kept = {name: settings[name] for name in _KEPT if name in settings} if settings else {}
     spec = DriveSpec(scenario, int(about["seed"]), frames, interval_s=float(about["interval_s"]), **kept)
     spec.check("render")
     return spec

@@ -41,7 +41,7 @@ _RECORD = np.dtype(
         ("cosine", "<f4"),
     ]
 )
-_COLUMNS = {
+COLUMNS = {
     "intensity": "intensity",
     "ring": "ring",
     "column": "column",
@@ -132,7 +132,7 @@ def _filled(sweep: Sweep, dtype: np.dtype, side: float = 1.0, scale: float = 1.0
     content = bytearray(len(header) + len(sweep) * dtype.itemsize)
     content[: len(header)] = header
     table = np.frombuffer(content, dtype, offset=len(header))
-    columns = (np.ascontiguousarray(getattr(sweep, column)) for column in _COLUMNS.values())
+    columns = (np.ascontiguousarray(getattr(sweep, column)) for column in COLUMNS.values())
     fill_records(table, np.ascontiguousarray(sweep.points), np.float32(side), np.float32(scale), *columns)
     return content, table
 
@@ -166,7 +166,7 @@ def read_pcd(
         for field in ("x", "y", "z"):
             if field not in names:
                 raise DataError(complaint(path, "FIELDS", f"a field {field}", " ".join(names)))
-        for field in ("x", "y", "z", "rgb", *_COLUMNS):
+        for field in ("x", "y", "z", "rgb", *COLUMNS):
             if field in names and table.dtype[field].shape:
                 raise DataError(complaint(path, f"COUNT of {field}", "1", table.dtype[field].shape[0]))
         if not mirrored:
@@ -174,16 +174,20 @@ def read_pcd(
         with np.errstate(over="ignore"):
             coordinates = {field: table[field].astype(np.float32) for field in ("x", "y", "z")}
         for field, values in coordinates.items():
-            bad = np.flatnonzero(~np.isfinite(values))
-            if len(bad):
-                raise DataError(
-                    complaint(path, f"{field} of point {bad[0]}", "a finite number", str(table[field][bad[0]]))
-                )
+            check_finite(path, field, values, table[field])
         y = -coordinates["y"] if mirrored else coordinates["y"]
         points = np.stack([coordinates["x"], y, coordinates["z"]], axis=1)
-        columns = {column: table[field] for field, column in _COLUMNS.items() if field in names}
+        columns = {column: table[field] for field, column in COLUMNS.items() if field in names}
         columns["intensity"] = _intensity(path, table, full_scale)
         return make_sweep(points, world_from_lidar, time_s, spec, **columns)
+
+
+def check_finite(path: Path, field: str, values: NDArray, stored: NDArray | None = None) -> None:
+    """Check the (P,) values of a field; DataError shows the first bad one as it is stored."""
+    bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad):
+        found = (values if stored is None else stored)[bad[0]]
+        raise DataError(complaint(path, f"{field} of point {bad[0]}", "a finite number", str(found)))
 
 
 def compensated(path: Path, sweep: Sweep, motion: Motion | None) -> Sweep:
@@ -199,9 +203,7 @@ def _intensity(path: Path, table: NDArray[np.void], full_scale: float | None) ->
     names = table.dtype.names or ()
     if "intensity" in names:
         intensity = table["intensity"].astype(np.float32)
-        bad = np.flatnonzero(~np.isfinite(intensity))
-        if len(bad):
-            raise DataError(complaint(path, f"intensity of point {bad[0]}", "a finite number", str(intensity[bad[0]])))
+        check_finite(path, "intensity", intensity)
         if full_scale is not None:
             return intensity / np.float32(full_scale)
         eight_bit = "rgb" not in names and len(intensity) > 0 and float(intensity.max()) > 1.0

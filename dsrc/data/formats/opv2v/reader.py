@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.checksums import marks_of_change
 from dsrc.data.formats.annotation import Annotation, with_own_bodies
+from dsrc.data.formats.opv2v.compact import encode_compact, read_compact
 from dsrc.data.formats.opv2v.record import Record, encode_agent, read_agent, read_plan
 from dsrc.data.formats.pcd import compensated, encode_pcd, read_pcd
 from dsrc.data.formats.velocity_from_tracks import TimedBoxes, tracked_velocity
@@ -28,12 +30,15 @@ from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.points_in_boxes import points_in_boxes
 from sensors.deskew import check_motion, deskew_frame
 from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
-from sensors.sweep import Motion
+from sensors.sweep import Motion, Sweep
 from sim.boxes import concatenate
 from sim.errors import DataError, complaint, did_you_mean
 from sim.files import write_file
 
 PROTOCOL = "data_protocol.yaml"
+Clouds = Literal["pcd", "compact"]
+"""Form of the point clouds, and ending of their files: OPV2V's, or a quarter of their bytes for our readers alone."""
+CLOUDS: tuple[Clouds, ...] = get_args(Clouds)
 _AGENT = re.compile(r"-?\d+")
 _STEM = re.compile(r"\d+")
 # OpenCDA numbers its files by ticks of a simulation at 20 Hz; the default for trees of other tools.
@@ -51,6 +56,20 @@ def lists_connected_vehicles(protocol: dict) -> bool:
     return bool(own_settings(protocol).get("connected_vehicles", True))
 
 
+def clouds_of(drive: Path, protocol: dict) -> Clouds:
+    """Return the form of a drive's clouds; DataError for an unknown one."""
+    clouds = own_settings(protocol).get("clouds", "pcd")
+    if clouds not in CLOUDS:
+        raise DataError(complaint(drive / PROTOCOL, "testbed.clouds", " or ".join(CLOUDS), clouds))
+    return clouds
+
+
+def with_clouds(own: dict, clouds: Clouds) -> dict:
+    """Return settings of a drive with another form of the clouds; PCD is what settings without one mean."""
+    kept = {name: value for name, value in own.items() if name != "clouds"}
+    return kept if clouds == "pcd" else {**kept, "clouds": clouds}
+
+
 def agent_table(frame: Frame) -> dict[int, dict]:
     """Return the table `testbed.agents` of a protocol: kind and LiDAR by agent id."""
     return {
@@ -62,9 +81,9 @@ def agent_table(frame: Frame) -> dict[int, dict]:
     }
 
 
-def frame_files(drive: Path, agent_ids: Sequence[int], index: int) -> list[Path]:
+def frame_files(drive: Path, agent_ids: Sequence[int], index: int, clouds: Clouds = "pcd") -> list[Path]:
     """Return the files of one frame, points before annotations."""
-    return [drive / str(agent) / f"{index:06d}.{ending}" for agent in agent_ids for ending in ("pcd", "yaml")]
+    return [drive / str(agent) / f"{index:06d}.{ending}" for agent in agent_ids for ending in (clouds, "yaml")]
 
 
 def write_frame(
@@ -73,6 +92,7 @@ def write_frame(
     connected_vehicles: bool = True,
     plans: dict[int, NDArray[np.float64]] | None = None,
     motion: Motion | None = None,
+    clouds: Clouds = "pcd",
     write: Callable[[Path, bytes | bytearray], None] = write_file,
 ) -> None:
     """Write one frame of all agents, each file atomically.
@@ -83,6 +103,7 @@ def write_frame(
         connected_vehicles: list other agents' bodies among an agent's vehicles, as any other vehicle.
         plans: per agent (K, 3) x, y in the world, m, and speed, m/s, of its coming path.
         motion: compensation of the sensors' motion in the files; None leaves the sweeps as they are.
+        clouds: form of the point clouds; the protocol of the drive must say the same.
         write: writes a file atomically.
 
     Raises:
@@ -91,8 +112,8 @@ def write_frame(
     frame = frame if motion is None else deskew_frame(frame, motion)
     contents: dict[Path, bytes | bytearray] = {}
     for row, agent in enumerate(frame.agents):
-        points, notes = frame_files(drive, [agent.agent_id], frame.index)
-        contents[points] = encode_pcd(agent.sweep)
+        points, notes = frame_files(drive, [agent.agent_id], frame.index, clouds)
+        contents[points] = encode_compact(agent.sweep) if clouds == "compact" else encode_pcd(agent.sweep)
         plan = (plans or {}).get(agent.agent_id)
         contents[notes] = encode_agent(frame, row, connected_vehicles, plan).encode()
     for path, content in contents.items():
@@ -107,6 +128,7 @@ class DriveReader:
         motion: compensation of the sensors' motion in the frames; None for that of the files.
         agents: ids of the agents, in the order of their folders, roadside units last.
         frames: numbers of the frames, ascending.
+        clouds: form of its point clouds.
     """
 
     format = "OPV2V"
@@ -123,6 +145,7 @@ class DriveReader:
         self.drive = Path(drive)
         self.motion = motion
         self.protocol = read_yaml(self.drive / PROTOCOL) if (self.drive / PROTOCOL).exists() else {}
+        self.clouds = clouds_of(self.drive, self.protocol)
         self.agents = tuple(self._agents())
         self._stems = self._timestamps()
         self.frames = tuple(int(stem) for stem in self._stems)
@@ -158,13 +181,13 @@ class DriveReader:
         It is quick, see `dsrc.data.checksums.marks_of_change`.
         """
         digest = hashlib.sha256()
-        files = sorted(p for p in self.drive.rglob("*") if p.suffix in (".yaml", ".pcd") and p.is_file())
+        files = sorted(p for p in self.drive.rglob("*") if p.suffix in (".yaml", f".{self.clouds}") and p.is_file())
         for path in files:
             name = f"{self.drive.name}/{path.relative_to(self.drive).as_posix()}"
             digest.update(f"{name}\0{path.stat().st_size}\0".encode())
             if path.suffix == ".yaml":
                 digest.update(path.read_bytes())
-        for path, mark in marks_of_change(self.drive, [path for path in files if path.suffix == ".pcd"]):
+        for path, mark in marks_of_change(self.drive, [path for path in files if path.suffix != ".yaml"]):
             digest.update(path.relative_to(self.drive).as_posix().encode() + b"\0" + mark)
         return digest.hexdigest()
 
@@ -196,7 +219,7 @@ class DriveReader:
             raise DataError(complaint(ego, "timestamps", "files such as 000000.yaml and 000000.pcd", "none"))
         for agent in self.agents:
             for stem in stems:
-                for ending in ("yaml", "pcd"):
+                for ending in ("yaml", self.clouds):
                     if f"{stem}.{ending}" not in listing[agent]:
                         raise DataError(f"{self.drive / str(agent) / stem}.{ending}: file is missing")
         own = own_settings(self.protocol)
@@ -214,11 +237,11 @@ class DriveReader:
             raise DataError(complaint(self.drive, "agent folders", str(first.agents), f"{missing} missing or extra"))
         agents = []
         for agent_id, record in zip(self.agents, records, strict=True):
-            path = self.drive / str(agent_id) / f"{stem}.pcd"
+            path = self.drive / str(agent_id) / f"{stem}.{self.clouds}"
             if record.index != first.index or record.object_id != first.object_id or record.box != first.box:
                 raise DataError(f"{path.with_suffix('.yaml')}: testbed: differs from agent {self.agents[0]}'s truth")
             pose = np.array(record.world_from_lidar, np.float64)
-            sweep = read_pcd(path, pose, record.sweep_time_s, record.lidar)
+            sweep = self._sweep(path, pose, record.sweep_time_s, spec=record.lidar)
             sweep = replace(sweep, path=record.lidar_path(), motion=record.motion, lost=record.lost)
             sweep = compensated(path, sweep, self.motion)
             body = np.array(record.world_from_body, np.float64)
@@ -245,8 +268,8 @@ class DriveReader:
             velocity = np.where(np.isnan(velocity), tracked_velocity(now, *self._neighbours(stem)), velocity)
         agents, points_on = [], np.zeros((len(notes), len(truth)), np.int32)
         for row, (agent_id, note) in enumerate(zip(self.agents, notes, strict=True)):
-            path = self.drive / str(agent_id) / f"{stem}.pcd"
-            sweep = read_pcd(path, note.world_from_lidar, now.time_s, mirrored=note.mirrored)
+            path = self.drive / str(agent_id) / f"{stem}.{self.clouds}"
+            sweep = self._sweep(path, note.world_from_lidar, now.time_s, mirrored=note.mirrored)
             sweep = compensated(path, sweep, self.motion)
             kind: AgentKind = "roadside" if agent_id < 0 else "vehicle"
             agents.append(AgentFrame(agent_id, kind, note.world_from_body, note.speed, sweep))
@@ -257,6 +280,12 @@ class DriveReader:
             points_on[row, listed] = np.maximum(counts, 1)
         frame = Frame(int(stem), now.time_s, tuple(agents), truth, velocity, points_on)
         return frame if all(note.mirrored for note in notes) else with_own_bodies(frame)
+
+    def _sweep(self, path: Path, pose: NDArray[np.float64], time_s: float, **more: Any) -> Sweep:
+        """Read a cloud in the form of the drive; compact ones are never mirrored."""
+        if self.clouds == "compact":
+            return read_compact(path, pose, time_s, more.get("spec"))
+        return read_pcd(path, pose, time_s, **more)
 
     def _instant(self, stem: str, notes: list[Annotation]) -> tuple[TimedBoxes, NDArray[np.float64]]:
         """Return the objects of a frame and their (N, 2) velocities."""

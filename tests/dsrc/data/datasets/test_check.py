@@ -51,6 +51,20 @@ def test_nothing_is_wrong_with_a_drive_as_it_was_written(data: Path) -> None:
     assert faults(data) == []
 
 
+def test_faults_of_a_compact_drive_are_those_of_its_files(tmp_path: Path) -> None:
+    drive = tmp_path / "toy_3"
+    write_drive(drive, {**SETTINGS, "clouds": "compact"}, ToySource().open)
+    assert faults(drive) == []
+    (drive / "1000/000001.compact").write_bytes((drive / "1000/000001.compact").read_bytes()[:-1])
+    (drive / "1002/000002.compact").write_bytes((drive / "1002/000003.compact").read_bytes())
+    write_checksums(drive)
+    found = faults(drive)
+    assert any("1000/000001.compact: blocks: expected" in fault for fault in found)
+    assert any("1002/000002.compact: " in fault and "its label says" in fault for fault in found)
+    (drive / "-1/000004.compact").unlink()
+    assert any("-1/000004.compact" in fault and "missing" in fault for fault in faults(drive))
+
+
 def test_nothing_is_wrong_with_a_tree_of_another_tool(tmp_path: Path) -> None:
     assert faults(unpack_opv2v_mini(tmp_path)) == []
 

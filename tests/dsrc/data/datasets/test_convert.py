@@ -33,7 +33,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-@pytest.mark.parametrize("to", ["opv2v", "dair", "kitti"])
+@pytest.mark.parametrize("to", ["opv2v", "compact", "dair", "kitti"])
 def test_an_interrupted_conversion_resumes_to_the_same_bytes(
     data: Path, tmp_path: Path, to: module.Format, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,6 +121,43 @@ def test_opv2v_to_opv2v_loses_nothing(tmp_path: Path) -> None:
     write_drive(tmp_path / "data" / "d", SETTINGS | {"motion": "raw"}, ToySource().open)
     convert(tmp_path / "data", tmp_path / "out", "opv2v")
     assert tree(tmp_path / "out" / "d") == tree(tmp_path / "data" / "d")
+
+
+def test_compact_drives_become_opv2v_of_the_same_bytes(tmp_path: Path) -> None:
+    write_drive(tmp_path / "data" / "toy", SETTINGS, ToySource().open)
+    compact = convert(tmp_path / "data", tmp_path / "compact", "compact")
+    assert {path.suffix for path in compact.glob("toy/*/*")} == {".yaml", ".compact"}
+    assert all(same_frames(DriveReader(compact / "toy").read(i), toy_frame(i)) for i in range(5))
+    back = convert(compact, tmp_path / "back", "opv2v")
+    assert tree(back / "toy") == tree(tmp_path / "data" / "toy")
+    again = convert(compact, tmp_path / "again", "compact")
+    assert tree(again / "toy") == tree(compact / "toy")
+
+
+def test_a_drive_is_written_compact_as_it_is_converted(tmp_path: Path) -> None:
+    write_drive(tmp_path / "data" / "toy", SETTINGS, ToySource().open)
+    write_drive(tmp_path / "live" / "toy", {**SETTINGS, "clouds": "compact"}, ToySource().open)
+    compact = convert(tmp_path / "data", tmp_path / "compact", "compact")
+    left_out = {PROTOCOL, "SHA256SUMS"}  # keys of the protocol are in the order of their writing
+    one, two = ({n: b for n, b in tree(f / "toy").items() if n not in left_out} for f in (tmp_path / "live", compact))
+    assert one == two
+    assert read_yaml(compact / "toy" / PROTOCOL) == read_yaml(tmp_path / "live" / "toy" / PROTOCOL)
+    with pytest.raises(DataError, match="clouds"):  # PCD files beside compact ones would be a second drive
+        write_drive(compact / "toy", SETTINGS, ToySource().open)
+
+
+def test_trees_of_others_become_compact_ones(tmp_path: Path) -> None:
+    source = goldens.unpack_opv2v_mini(tmp_path)
+    plain, packed = (open_drives(convert(source, tmp_path / to, to)) for to in ("opv2v", "compact"))
+    assert list(map(len, packed)) == list(map(len, open_drives(source)))
+    for one, two in zip(plain, packed, strict=True):
+        assert all(same_frames(one.read(i), two.read(i)) for i in range(len(one)))
+
+
+def test_an_unknown_form_of_clouds_is_named(tmp_path: Path) -> None:
+    write_drive(tmp_path / "toy", {**SETTINGS, "clouds": "laz"}, ToySource().open)
+    with pytest.raises(DataError, match=r"data_protocol\.yaml: testbed\.clouds: expected pcd or compact, found laz"):
+        DriveReader(tmp_path / "toy")
 
 
 def test_drives_of_other_tools_become_drives_of_ours(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dsrc.data.datasets.convert import convert
 from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drive_folder import read_settings
 from dsrc.data.drives import list_drives, open_drives
@@ -55,6 +56,19 @@ def test_every_frame_is_that_of_corrupt_frame_with_the_seed_of_its_drive(data: P
         seed = drive_seed(5, drive.name)
         for i in range(5):
             assert same_frames(out.read(i), corrupt_frame(source.read(i), "motion_blur", 4, seed))
+
+
+def test_a_compact_drive_is_corrupted_as_its_twin_and_stays_compact(data: Path, tmp_path: Path) -> None:
+    compact = convert(data, tmp_path / "compact", "compact")
+    one = corrupt_dataset(data, tmp_path / "a", "motion_blur", severity=4)
+    two = corrupt_dataset(compact, tmp_path / "b", "motion_blur", severity=4)
+    for plain, packed in zip(one, two, strict=True):
+        assert len(list(packed.glob("*/*.compact"))) == 15 and not list(packed.glob("*/*.pcd"))
+        assert all(same_frames(DriveReader(plain).read(i), DriveReader(packed).read(i)) for i in range(5))
+    before, source = tree(tmp_path / "b"), tmp_path / "b/one/1000/000003.compact"
+    source.unlink()
+    corrupt_dataset(compact, tmp_path / "b", "motion_blur", severity=4)
+    assert tree(tmp_path / "b") == before
 
 
 def test_settings_of_the_severity_can_be_changed(data: Path, tmp_path: Path) -> None:

@@ -257,7 +257,7 @@ def test_records_hold_every_column_to_the_bit() -> None:
     sweep = toy_frame(0).agents[0].sweep
     table = np.zeros(len(sweep), pcd._RECORD)
     table["x"], table["y"], table["z"] = sweep.points[:, 0], -sweep.points[:, 1], sweep.points[:, 2]
-    for field, column in pcd._COLUMNS.items():
+    for field, column in pcd.COLUMNS.items():
         table[field] = getattr(sweep, column)
     table["rgb"] = np.round(sweep.intensity * 255.0).astype(np.uint32) << 16
     assert encode_pcd(sweep) == encode_table(table)
