@@ -47,7 +47,7 @@ class Train(TrainOptions, frozen=True):
 class Verify(msgspec.Struct, frozen=True, kw_only=True):
     """Evaluate a trained detector again and compare it with its run folder; exit code 1 if they differ.
 
-    Compared are hashes, settings, versions and average precision.
+    Compared are hashes, settings, versions and average precision, that of a student by every engine of the machine.
 
     Examples:
         dsrc model verify runs/small

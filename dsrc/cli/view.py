@@ -27,7 +27,8 @@ class View(ServeOptions, frozen=True, kw_only=True):
         out: HTML page to write; default: serve the page.
         picture: PNG of the written page, or of the view of the link, drawn by Chromium; default: none.
         animation: GIF of the view of the link, drawn by Chromium; default: none.
-        link: what a picture shows beside what the options say, as a page's address has it after the question mark.
+        link: what a picture shows beside what the options say, as a page's address has it after the question mark;
+            default: nothing.
         size: width and height of a picture or animation, px.
         frames: frames of a written page from the first, or of an animation from the link's.
         verbose: also say which engine runs the networks, and why.

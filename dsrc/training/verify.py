@@ -8,8 +8,10 @@ from typing import Any, TypeVar
 import msgspec
 
 from dsrc.data.drives import drive_hashes, list_drives
+from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.storage.checkpoint import load_detector, read_meta
+from dsrc.models.storage.deploy import BFLOAT16, ENGINES
 from dsrc.runs.provenance import versions
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.recipes import Recipe, of_today
@@ -21,6 +23,8 @@ from sim.reading import read_bytes
 
 AP_TOLERANCE = 0.002
 """Tolerance of average precisions: other processors sum in another order, and detections cross thresholds."""
+BFLOAT16_TOLERANCE = 0.015
+"""Tolerance of average precisions in bfloat16, as of one condition in `studies/bf16_gate.py`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +86,8 @@ def verify(
     Without validation drives and a hold-out these are training frames, and the comparison says so.
 
     Compared are the hash and the settings of the detector file, the hashes of the data, package versions, teacher,
-    start and epoch if recorded, and the average precisions within `AP_TOLERANCE`.
+    start and epoch if recorded, and the average precisions within `AP_TOLERANCE`. A student on a CPU is also run as it
+    is used: fused, and in bfloat16 where the processor computes it, there within `BFLOAT16_TOLERANCE`.
 
     Args:
         data: folder of its training drives, if they have moved.
@@ -118,16 +123,27 @@ def verify(
         *_fields("validation data", record.validation or {}, drive_hashes(held or [])),
         *_fields("version", record.versions, versions()),
     ]
-    batches = loaders.validation_batches()
     unseen = loaders.validates_on_unseen
-    found = _bare(validate(detector, _counted(batches, len(batches), progress), unseen))
     before = _bare(result.metrics)
-    for name in {**found, **before}:
-        recorded, now = before.get(name), found.get(name)
-        agrees = recorded is not None and now is not None and abs(recorded - now) <= AP_TOLERANCE
-        where = f"{name} on {frames_named(unseen)}"
-        checks.append(Comparison(where, _rounded(recorded), _rounded(now), agrees))
+    engines = _engines(detector)
+    batches = loaders.validation_batches()
+    for turn, (engine, tolerance) in enumerate(engines.items()):
+        counted = _counted(batches, turn * len(batches), len(engines) * len(batches), progress)
+        found = _bare(validate(ENGINES[engine](detector), counted, unseen))
+        for name in {**found, **before}:
+            recorded, now = before.get(name), found.get(name)
+            agrees = recorded is not None and now is not None and abs(recorded - now) <= tolerance
+            where = f"{name} on {frames_named(unseen)}{'' if engine == 'plain' else f', engine {engine}'}"
+            checks.append(Comparison(where, _rounded(recorded), _rounded(now), agrees))
     return checks
+
+
+def _engines(detector: Detector) -> dict[str, float]:
+    """Return the engines that a detector can run by here, each with the tolerance of its average precisions."""
+    if detector.settings.role != "student" or detector.cls_head.weight.device.type != "cpu":
+        return {"plain": AP_TOLERANCE}
+    half = {"bf16": BFLOAT16_TOLERANCE} if BFLOAT16 else {}
+    return {"plain": AP_TOLERANCE, "fused": AP_TOLERANCE} | half
 
 
 def _meta(path: Path) -> _Meta:
@@ -186,11 +202,12 @@ def _known(**values: object) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _counted(batches: Iterable[Batch], total: int, progress: Callable[[int, int], None]) -> Iterator[Batch]:
-    for done, batch in enumerate(batches):
-        progress(done, total)
+def _counted(
+    batches: Iterable[Batch], before: int, total: int, progress: Callable[[int, int], None]
+) -> Iterator[Batch]:
+    for done, batch in enumerate(batches, start=before + 1):
         yield batch
-    progress(total, total)
+        progress(done, total)
 
 
 def agree(checks: Sequence[Comparison]) -> bool:
