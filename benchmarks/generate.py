@@ -1,4 +1,7 @@
-"""How fast drives are made: frames per second on one and on two workers, and which stage takes which share.
+"""What drives cost: CPU time per frame over agents, vehicles and forms of clouds, and frames per second over workers.
+
+Workers are processes of this machine, and Ray's where the package ray is installed. CPU time is the figure to trust
+where other processes are busy.
 
 python -m benchmarks.generate
 python -m benchmarks.generate --quick
@@ -13,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -22,27 +26,29 @@ import tyro
 
 from benchmarks.quiet import others_s
 from benchmarks.street import BENCHMARK_LIDAR
-from dsrc.data.checksums import write_checksums
-from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.data.checksums import Written
+from dsrc.data.formats.opv2v.reader import CLOUDS, Clouds, write_frame
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD, SimulatedDrive, open_simulated
 from dsrc.data.write import DriveSpec
-from dsrc.runs.executors import ProcessExecutor, Progress
+from dsrc.runs.executors import Executor, ProcessExecutor, Progress, RayExecutor
 from dsrc.tables.table import Table
 from sensors.presets import register_sensor
 from sim.catalog.load import load_scenario
 from sim.scenario import Scenario
 
 AGENTS, VEHICLES = 5, 60
+AGENT_COUNTS, VEHICLE_COUNTS = (1, 2, 5, 10, 20), (20, 60, 100)
 STAGES: dict[str, tuple[str, ...]] = {
     "tracing": ("sensors.recording.rig.scan_all", "sensors.recording.rig.RayScene.with_bodies"),
     "visibility": ("sensors.recording.rig.visible_fraction", "sensors.recording.rig.lines_of_sight"),
     "encode": (
         "dsrc.data.formats.opv2v.reader.deskew_frame",
         "dsrc.data.formats.opv2v.reader.encode_pcd",
+        "dsrc.data.formats.opv2v.reader.encode_compact",
         "dsrc.data.formats.opv2v.reader.encode_agent",
     ),
 }
-"""Functions whose time is a stage's; writing is the rest of `write_frame` and the checksums."""
+"""Functions whose time is a stage's; writing is the rest: files and their SHA-256."""
 
 
 @dataclass(slots=True)
@@ -77,25 +83,62 @@ class Clock:
             yield
 
 
-def busy_scenario() -> Scenario:
-    """Return the made junctions with 60 vehicles, five of which carry the benchmarks' sensor."""
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Point of the curve: what is made."""
+
+    agents: int = AGENTS
+    vehicles: int = VEHICLES
+    clouds: Clouds = "pcd"
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a frame costs: CPU milliseconds by stage, and megabytes."""
+
+    stages: dict[str, float]
+    mb: float
+
+    @property
+    def cpu_ms(self) -> float:
+        """CPU milliseconds of all stages."""
+        return sum(self.stages.values())
+
+    def shown(self) -> tuple[str, str, str]:
+        """Return CPU milliseconds of a frame, core-hours and terabytes of a million."""
+        return f"{self.cpu_ms:.1f}", f"{self.cpu_ms / 3.6:.1f}", f"{self.mb:.1f}"
+
+
+def points(quick: bool) -> list[Point]:
+    """Return the points of the curve: one of agents, vehicles and clouds changes at a time."""
+    agents = (1, AGENTS) if quick else AGENT_COUNTS
+    vehicles = (20, VEHICLES) if quick else VEHICLE_COUNTS
+    varied = [Point(), *(Point(clouds=clouds) for clouds in CLOUDS)]
+    varied += [*(Point(agents=count) for count in agents), *(Point(vehicles=count) for count in vehicles)]
+    return list(dict.fromkeys(varied))
+
+
+def busy_scenario(agents: int = AGENTS, vehicles: int = VEHICLES) -> Scenario:
+    """Return the made junctions with that many vehicles, some of which carry the benchmarks' sensor."""
     scenario = load_scenario("four_way")
     demand = msgspec.structs.replace(
         scenario.demand,
         vehicles_per_hour=6000.0,
         bicycles_per_hour=0.0,
         persons_per_hour=0.0,
-        max_vehicles=VEHICLES,
+        max_vehicles=vehicles,
     )
-    agents = msgspec.structs.replace(scenario.agents, vehicles=AGENTS, lidar=BENCHMARK_LIDAR.name, roadside=())
-    return msgspec.structs.replace(scenario, demand=demand, agents=agents, warmup_s=45.0)
+    rule = msgspec.structs.replace(scenario.agents, vehicles=agents, lidar=BENCHMARK_LIDAR.name, roadside=())
+    return msgspec.structs.replace(scenario, demand=demand, agents=rule, warmup_s=45.0)
 
 
-def make_frames(live: SimulatedDrive, drive: Path, first: int, last: int) -> None:
-    """Make and write some frames, as `dsrc generate` does."""
+def make_frames(live: SimulatedDrive, drive: Path, first: int, last: int, clouds: Clouds = "pcd") -> None:
+    """Make and write some frames with their SHA-256, as `dsrc generate` does."""
+    written = Written()
     for index in range(first, last):
         frame = live.frame(index)
-        write_frame(drive, frame, True, live.plans(index), motion="middle")
+        plans = live.plans(index)
+        write_frame(drive, frame, True, plans, motion="middle", clouds=clouds, write=written.write)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,76 +171,109 @@ def _opened(spec: DriveSpec, drive: Path, recorded: Path | None) -> Any:
     return open_simulated(spec.scenario, spec.seed, spec.frames, spec.interval_s, log, True, recorded, threads=1)
 
 
-def stages(folder: Path, frames: int) -> tuple[dict[str, float], Path]:
-    """Return CPU milliseconds per frame by stage, and the folder of the recording; in this process, on one thread."""
-    register_sensor(BENCHMARK_LIDAR)
+def traffic_ms() -> float:
+    """Return CPU milliseconds of a step of the traffic."""
     from sim.traffic.open import open_traffic
 
-    spec, drive, clock = DriveSpec(busy_scenario(), 1, frames), folder / "staged", Clock()
-    with open_traffic(spec.scenario, spec.seed) as traffic:
+    with open_traffic(busy_scenario(), 1) as traffic:
         start = time.process_time()
         for _ in range(50):
             traffic.step()
-        step_ms = 1e3 * (time.process_time() - start) / 50
+        return 1e3 * (time.process_time() - start) / 50
+
+
+def cost_of(point: Point, drive: Path, frames: int, recorded: Path | None) -> Cost:
+    """Return what a frame costs in this process, on one thread, without the traffic."""
+    spec, clock = DriveSpec(busy_scenario(point.agents, point.vehicles), 1, frames), Clock()
     drive.mkdir()
-    with _opened(spec, drive, None) as live:
-        make_frames(live, drive, 0, 1)
+    with _opened(spec, drive, recorded) as live:
+        make_frames(live, drive, 0, 1, point.clouds)
         with clock.watching():
             start = time.process_time()
-            make_frames(live, drive, 1, frames)
+            make_frames(live, drive, 1, frames, point.clouds)
             whole_ms = 1e3 * (time.process_time() - start) / (frames - 1)
-    start = time.process_time()
-    write_checksums(drive)
-    sums_ms = 1e3 * (time.process_time() - start) / frames
     parts = {stage: 1e3 * clock.seconds[stage] / (frames - 1) for stage in STAGES}
-    rest = whole_ms - sum(parts.values())
-    return {"traffic": step_ms, **parts, "write": rest + sums_ms}, drive
+    size = sum(path.stat().st_size for path in drive.glob("*/000001.*"))
+    return Cost({**parts, "write": whole_ms - sum(parts.values())}, size / 1e6)
 
 
-def rate_of(folder: Path, recorded: Path, workers: int, frames: int) -> tuple[float, float]:
+def curve(folder: Path, frames: int, quick: bool) -> tuple[dict[Point, Cost], Path]:
+    """Return what each point costs, and the folder of the recording of the first."""
+    register_sensor(BENCHMARK_LIDAR)
+    step_ms, recordings = traffic_ms(), {}
+    costs: dict[Point, Cost] = {}
+    for row, point in enumerate(points(quick)):
+        drive = folder / f"point_{row}"
+        cost = cost_of(point, drive, frames, recordings.get(point.vehicles))
+        costs[point] = Cost({"traffic": step_ms, **cost.stages}, cost.mb)
+        recordings.setdefault(point.vehicles, drive)
+        for cloud in [path for clouds in CLOUDS for path in drive.glob(f"*/*.{clouds}")]:
+            cloud.unlink()  # a drive may have a gigabyte, in memory
+    return costs, recordings[VEHICLES]
+
+
+def rate_of(place: Path, recorded: Path, executor: Executor, workers: int, frames: int) -> tuple[float, float]:
     """Return frames per second that workers make together, each on one thread, and CPU milliseconds of a frame."""
-    place = folder / f"workers_{workers}"
     shares = [Share(recorded, place / str(row), frames, workers) for row in range(workers)]
-    with ProcessExecutor(workers) as pool:
-        spans = [outcome.value for outcome in pool.run(work, shares)]
-    starts, ends, cpu = zip(*spans, strict=True)
+    with executor as pool:
+        outcomes = list(pool.run(work, shares))
+    for outcome in outcomes:
+        if outcome.error is not None:
+            raise outcome.error
+    starts, ends, cpu = zip(*(outcome.value for outcome in outcomes), strict=True)
     made = workers * (frames - 1)
     return made / (max(ends) - min(starts)), 1e3 * sum(cpu) / made
 
 
 def main(quick: bool = False, out: Path | None = None) -> None:
-    """Measure how fast drives are made.
+    """Measure what drives cost.
 
     Args:
-        quick: fewer frames.
+        quick: fewer frames and points.
         out: folder on the disk to write to; in memory (/dev/shm) where there is such, so that no disk is measured.
     """
-    frames = 6 if quick else 41
+    frames = 4 if quick else 21
     memory = Path("/dev/shm")
     place = out if out is not None else memory if memory.is_dir() else None
+    kinds: dict[str, Callable[[int], Executor]] = {"local": ProcessExecutor}
+    if find_spec("ray") is not None:
+        kinds["ray"] = RayExecutor
+    cores = os.cpu_count() or 1
+    counts = [1, 2] if quick else [count for count in (1, 2, 4, 8, 16) if count <= max(2, cores)]
     with tempfile.TemporaryDirectory(prefix="dsrc-benchmark-", dir=place) as name:
         folder, others, start = Path(name), others_s(), time.monotonic()
-        parts, recorded = stages(folder, frames)
+        costs, recorded = curve(folder, frames, quick)
         load = (others_s() - others) / (time.monotonic() - start)
-        size = sum(path.stat().st_size for path in recorded.glob("*/000001.*"))
         log = (recorded / TRAFFIC_LOG).stat().st_size
         world = (recorded / WORLD).stat().st_size
-        counts = [1, 2] if quick else [count for count in (1, 2, 4, 8) if count <= max(2, os.cpu_count() or 1)]
-        rates = {count: rate_of(folder, recorded, count, frames) for count in counts}
-    total = sum(parts.values())
-    stages_of = ((stage, f"{spent:.1f}", f"{spent / total:.1%}") for stage, spent in parts.items())
-    print(Table.of(("stage", "CPU ms per frame", "share"), stages_of))
-    rated = ((count, f"{rate:.2f}", f"{cpu_ms:.1f}") for count, (rate, cpu_ms) in rates.items())
-    print(Table.of(("workers", "frames per s", "CPU ms per frame"), rated))
+        rates = {
+            (kind, count): rate_of(folder / f"{kind}_{count}", recorded, executor(count), count, frames)
+            for kind, executor in kinds.items()
+            for count in counts
+        }
+    parts, total = costs[Point()].stages, costs[Point()].cpu_ms
+    stages = ((stage, f"{spent:.1f}", f"{spent / total:.1%}") for stage, spent in parts.items())
+    print(Table.of(("stage", "CPU ms per frame", "share"), stages))
+    columns = ("agents", "vehicles", "clouds", "CPU ms per frame", "core-hours per million", "TB per million")
+    print(Table.of(columns, ((p.agents, p.vehicles, p.clouds, *cost.shown()) for p, cost in costs.items())))
+    rated = ((*key, f"{rate:.2f}", f"{cpu_ms:.1f}") for key, (rate, cpu_ms) in rates.items())
+    print(Table.of(("executor", "workers", "frames per s", "CPU ms per frame"), rated))
     figures = {
         "agents": AGENTS,
         "vehicles": VEHICLES,
         "rays": 64 * 1800,
-        **{f"frames_per_s_{count}": round(rate, 3) for count, (rate, _) in rates.items()},
-        **{f"worker_cpu_ms_{count}": round(cpu_ms, 1) for count, (_, cpu_ms) in rates.items()},
+        **{f"frames_per_s_{count}": round(rate, 3) for (kind, count), (rate, _) in rates.items() if kind == "local"},
+        **{f"worker_cpu_ms_{count}": round(ms, 1) for (kind, count), (_, ms) in rates.items() if kind == "local"},
+        **{f"ray_frames_per_s_{count}": round(rate, 3) for (kind, count), (rate, _) in rates.items() if kind == "ray"},
+        **{f"ray_worker_cpu_ms_{count}": round(ms, 1) for (kind, count), (_, ms) in rates.items() if kind == "ray"},
         "cpu_ms_per_frame": round(total, 1),
         **{f"share_{stage}": round(spent / total, 4) for stage, spent in parts.items()},
-        "frame_mb": round(size / 1e6, 2),
+        "frame_mb": round(costs[Point()].mb, 2),
+        "compact_cpu_ms_per_frame": round(costs[Point(clouds="compact")].cpu_ms, 1),
+        "compact_frame_mb": round(costs[Point(clouds="compact")].mb, 2),
+        "curve": [
+            msgspec.to_builtins(p) | {"cpu_ms": round(c.cpu_ms, 1), "mb": round(c.mb, 2)} for p, c in costs.items()
+        ],
         "written_to": str(place or tempfile.gettempdir()),
         "log_bytes_per_frame": round(log / (frames + 30)),
         "world_kb": round(world / 1e3),

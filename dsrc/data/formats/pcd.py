@@ -112,9 +112,10 @@ def read_table(path: Path) -> NDArray[np.void]:
 
 def encode_pcd(sweep: Sweep) -> bytearray:
     """Return OPV2V's PCD file of a sweep: mirrored points, red intensity and all columns exactly."""
+    from dsrc.data.formats.pcd_kernel import fill_red
+
     content, table = _filled(sweep, _RECORD, side=-1.0)
-    red = np.round(np.clip(sweep.intensity, 0.0, 1.0) * 255.0).astype(np.uint32)
-    table["rgb"] = red << 16
+    fill_red(table, np.ascontiguousarray(sweep.intensity))
     return content
 
 

@@ -110,14 +110,16 @@ def write_frame(
         DataError: a sweep cannot be compensated so: its path or its firing times are unknown.
     """
     frame = frame if motion is None else deskew_frame(frame, motion)
-    contents: dict[Path, bytes | bytearray] = {}
-    for row, agent in enumerate(frame.agents):
+    plans = plans or {}
+    texts = [
+        encode_agent(frame, row, connected_vehicles, plans.get(agent.agent_id))
+        for row, agent in enumerate(frame.agents)
+    ]
+    # A cloud is written and hashed while it is in the processor's cache.
+    for agent, text in zip(frame.agents, texts, strict=True):
         points, notes = frame_files(drive, [agent.agent_id], frame.index, clouds)
-        contents[points] = encode_compact(agent.sweep) if clouds == "compact" else encode_pcd(agent.sweep)
-        plan = (plans or {}).get(agent.agent_id)
-        contents[notes] = encode_agent(frame, row, connected_vehicles, plan).encode()
-    for path, content in contents.items():
-        write(path, content)
+        write(points, encode_compact(agent.sweep) if clouds == "compact" else encode_pcd(agent.sweep))
+        write(notes, text.encode())
 
 
 class DriveReader:
