@@ -10,7 +10,7 @@ import tyro
 
 from benchmarks.corruptions import GOALS, POINTS, REFERENCES, STATED, goal_of, make_frame, peak_mb, variants_of
 from benchmarks.frames import rays_of
-from benchmarks.generate import STAGES, Clock, busy_scenario
+from benchmarks.generate import STAGES, Clock, Cost, Point, busy_scenario, points
 from benchmarks.lidar import figures_of, stage_ms
 from benchmarks.quiet import Timing, measure
 from benchmarks.street import BENCHMARK_LIDAR, FLEETS, baked, city, fleet, street_world
@@ -40,6 +40,15 @@ def test_sixty_vehicles_of_which_five_scan_keep_the_makers_of_drives_busy() -> N
         opv2v.encode_pcd(toy_frame(0).agents[0].sweep)
     assert clock.seconds["encode"] > 0.0 and set(clock.seconds) == {"encode"}
     assert set(STAGES) | {"traffic", "write"} == {"traffic", "tracing", "visibility", "encode", "write"}
+
+
+def test_one_run_varies_agents_vehicles_and_clouds_around_the_same_drive() -> None:
+    for quick in (True, False):
+        varied = points(quick)
+        assert varied[0] == Point(5, 60, "pcd") and Point(5, 60, "compact") in varied
+        assert all((p.agents != 5) + (p.vehicles != 60) + (p.clouds != "pcd") <= 1 for p in varied)
+        assert len(varied) == len(set(varied))
+    assert Cost({"tracing": 30.0, "write": 6.0}, 17.5).shown() == ("36.0", "10.0", "17.5")
 
 
 def test_streets_have_the_stated_triangles() -> None:

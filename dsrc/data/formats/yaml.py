@@ -40,14 +40,14 @@ def emit(value: Plain, indent: int = 0) -> str:
 
 
 def _flow(value: Plain) -> str:
+    if type(value) is float:
+        return _float(value)
     if value is None:
         return "null"
     if isinstance(value, bool):
         return "true" if value else "false"
     if type(value) is int:
         return str(value)
-    if type(value) is float:
-        return _float(value)
     if isinstance(value, str):
         plain = _WORD.fullmatch(value) and value.lower() not in _RESERVED
         return value if plain else _quoted(value)

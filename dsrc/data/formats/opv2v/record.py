@@ -155,7 +155,8 @@ def _record(frame: Frame, row: int, check: int) -> Record:
 
 def _known(vectors: NDArray[np.float64]) -> list[tuple[float, float] | None]:
     """Return rows of (N, 2), None for unknown ones."""
-    return [None if np.isnan(row).any() else (float(row[0]), float(row[1])) for row in vectors]
+    unknown: list[bool] = np.isnan(vectors).any(axis=1).tolist()
+    return [None if gone else (x, y) for gone, (x, y) in zip(unknown, vectors.tolist(), strict=True)]
 
 
 def _knots(path: LidarPath | None) -> NDArray[np.float64]:
@@ -172,16 +173,19 @@ def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> dict[int, dic
     if not connected_vehicles:
         listed &= ~np.isin(truth.object_id, [a.agent_id for a in frame.agents])
     vehicles: dict[int, dict[str, Any]] = {}
-    for i in np.flatnonzero(listed):
-        x, y, z, length, width, height, yaw = truth.array[i].tolist()
-        vehicles[int(truth.object_id[i])] = {
+    speeds = np.hypot(frame.velocity[listed, 0], frame.velocity[listed, 1]).tolist()
+    for object_id, box, speed in zip(
+        truth.object_id[listed].tolist(), truth.array[listed].tolist(), speeds, strict=True
+    ):
+        x, y, z, length, width, height, yaw = box
+        vehicles[object_id] = {
             "angle": [0.0, -math.degrees(yaw), 0.0],
             "center": [0.0, 0.0, 0.5 * height],
             "extent": [0.5 * length, 0.5 * width, 0.5 * height],
             "location": [x, -y, z - 0.5 * height],
         }
-        if not np.isnan(frame.velocity[i]).any():
-            vehicles[int(truth.object_id[i])]["speed"] = float(np.hypot(*frame.velocity[i])) * 3.6
+        if not math.isnan(speed):
+            vehicles[object_id]["speed"] = speed * 3.6
     return vehicles
 
 
