@@ -2,10 +2,11 @@
 
 Random weights, 704 x 200 cells, 1, 2 and 5 agents with 60,000 points each; the sizes of the paper (Res2Net blocks 3, 5,
 8); detectors as they are loaded for use (`dsrc.models.storage.deploy`). The floor is the network's floating point
-operations over the rate of the same machine at multiplying matrices in the same precision, all cores.
+operations over the rate of the same machine at multiplying matrices in the same precision, all cores. Beside it the
+shipped detector by every engine (`benchmarks.engines`).
 
     python -m benchmarks.inference            # every stage several times, the least disturbed samples count
-    python -m benchmarks.inference --quick    # every stage once; what does not fit into 38 s is left out
+    python -m benchmarks.inference --quick    # every stage twice, the second counts; what does not fit is left out
 """
 
 import json
@@ -14,10 +15,10 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -31,18 +32,21 @@ from dsrc.tables.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.engines import EngineTime, engine_times
 from benchmarks.quiet import measure
+from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.models.detector import Detector
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.settings import ModelSettings
-from dsrc.models.storage.deploy import deployed
+from dsrc.models.storage.checkpoint import load_detector
+from dsrc.models.storage.deploy import ENGINES
 
 AGENTS = (1, 2, 5)
 POINTS = 60_000
 """Of a cloud."""
 STAGES = ("pillars", "encoder", "backbone", "maps", "join", "read", "boxes")
-QUICK_S = 38.0
+QUICK_S = 32.0
 Key = tuple[str, ...]
 
 
@@ -53,7 +57,7 @@ class Work:
     Attributes:
         run: does it.
         gflop: floating point operations of it, a multiplication and an addition being two.
-        seconds: of the first call, which also made the input of the next stage; later of the measurement.
+        seconds: of the second call; later of the measurement.
         cpu_s: the same of all threads' time on a CPU, the figure to trust where other processes are busy.
     """
 
@@ -90,8 +94,8 @@ _FLOPS = {
 class Bench:
     """All stages of all methods; those that several methods share are run once."""
 
-    def __init__(self, settings: ModelSettings, device: str, quick: bool, deadline: float) -> None:
-        self.settings, self.device, self.quick, self.deadline = settings, device, quick, deadline
+    def __init__(self, settings: ModelSettings, device: str, engine: str, quick: bool, deadline: float) -> None:
+        self.settings, self.device, self.engine, self.quick, self.deadline = settings, device, engine, quick, deadline
         self.work: dict[Key, Work] = {}
         self.made: dict[Key, Any] = {}
         self.plan: dict[tuple[str, int], dict[str, Key]] = {}
@@ -102,10 +106,10 @@ class Bench:
             torch.nn.Conv2d(8, 8, 3)(torch.zeros(1, 8, 9, 9))
 
     def add(self, method: str, agents: int) -> None:
-        """Take a method with so many agents into the plan, running each of its stages once."""
+        """Take a method with so many agents into the plan, running each of its stages."""
         settings = replace(self.settings, fusion=method)
         torch.manual_seed(0)
-        detector = deployed(Detector(settings)).to(self.device)
+        detector = ENGINES[self.engine](Detector(settings).to(self.device).eval())
         clouds = self.clouds[: 1 if method == "none" else agents]
         if method == "early":
             clouds = [np.concatenate(clouds)]
@@ -150,10 +154,12 @@ class Bench:
         if time.perf_counter() > self.deadline:
             raise TimeoutError
         timed = partial(self._whole, run)
+        # The first call makes engines and takes memory for the first time.
         with torch.inference_mode(), FlopCounterMode(display=False, custom_mapping=_FLOPS) as counter:
-            start, busy = time.perf_counter(), time.process_time()
-            made = timed()
-            seconds, cpu_s = time.perf_counter() - start, time.process_time() - busy
+            timed()
+        start, busy = time.perf_counter(), time.process_time()
+        made = timed()
+        seconds, cpu_s = time.perf_counter() - start, time.process_time() - busy
         self.work[key] = Work(timed, counter.get_total_flops() / 1e9, seconds, cpu_s)
         self.made[key] = made
         return made
@@ -224,8 +230,24 @@ def show(console: Console, bench: Bench, rate: float) -> None:
             shares = [f"{1000 * bench.floor(method, 2, rate):.0f}", *(f"{parts[s] / total:.0%}" for s in STAGES)]
         rows.append((method, *cells, *shares))
     head = ("method", *(f"{n} agents" for n in AGENTS), "floor of 2", *STAGES)
-    title = f"ms per frame on {bench.device}; floor at {rate:.0f} GFLOP/s; shares with two agents"
+    title = (
+        f"ms per frame on {bench.device}, engine {bench.engine}; floor at {rate:.0f} GFLOP/s; shares with two agents"
+    )
     console.print(Table.of(head, rows, title=title))
+
+
+def show_engines(console: Console, times: dict[str, EngineTime]) -> None:
+    base = times["fused"].cpu_ms or float("nan")
+    rows = [
+        (name, f"{one.cpu_ms:.0f}", f"{base / one.cpu_ms:.2f}", f"{one.score_error:.4f}")
+        for name, one in times.items()
+        if one.cpu_ms is not None
+    ]
+    head = ("engine", "CPU ms", "times as fast as fused", "largest change of a score")
+    console.print(Table.of(head, rows, title=f"shipped detector, {max(AGENTS)} agents, one pass of the network"))
+    for name, one in times.items():
+        if one.cpu_ms is None:
+            console.print(f"{name}: {one.why}")
 
 
 def figures(bench: Bench, rate: float) -> dict[str, object]:
@@ -252,19 +274,23 @@ def figures(bench: Bench, rate: float) -> dict[str, object]:
     }
 
 
-def main(quick: bool = False) -> None:
+def main(quick: bool = False, engine: Literal["fused", "bf16", "compiled", "plain"] = "fused") -> None:
     """Time every method on the CPU, and on a GPU where there is one: tables for people, then one line of JSON.
 
     Args:
-        quick: every stage once; what does not fit into 38 s is left out (null), and stages that take clouds one by
-            one are run for two, and taken as 2.5 times as long for five.
+        quick: every stage twice, the second counts; what does not fit into 32 s is left out (null), and stages that
+            take clouds one by one are run for two, and taken as 2.5 times as long for five.
+        engine: execution of the methods' networks.
     """
     started = time.perf_counter()
     console = Console(width=160, highlight=False)
-    result: dict[str, object] = {}
+    shipped = load_detector(SHIPPED_DETECTOR).settings
+    times = engine_times(pillars_of([cloud(shipped, seed) for seed in range(max(AGENTS))], shipped), quick)
+    show_engines(console, times)
+    result: dict[str, object] = {"engine": engine, "engines": {name: asdict(one) for name, one in times.items()}}
     for device in ("cpu", *(("cuda",) if torch.cuda.is_available() else ())):
         rate = matrix_rate(device)
-        bench = Bench(ModelSettings(), device, quick, started + QUICK_S if quick else float("inf"))
+        bench = Bench(ModelSettings(), device, engine, quick, started + QUICK_S if quick else float("inf"))
         try:
             for agents in AGENTS:
                 for method in FUSIONS:
