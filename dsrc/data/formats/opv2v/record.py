@@ -155,7 +155,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
 
 def _known(vectors: NDArray[np.float64]) -> list[tuple[float, float] | None]:
     """Return rows of (N, 2), None for unknown ones."""
-    unknown: list[bool] = np.isnan(vectors).any(axis=1).tolist()
+    unknown = np.isnan(vectors).any(axis=1)
     return [None if gone else (x, y) for gone, (x, y) in zip(unknown, vectors.tolist(), strict=True)]
 
 
