@@ -155,8 +155,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
 
 def _known(vectors: NDArray[np.float64]) -> list[tuple[float, float] | None]:
     """Return rows of (N, 2), None for unknown ones."""
-    unknown = np.isnan(vectors).any(axis=1)
-    return [None if gone else (x, y) for gone, (x, y) in zip(unknown, vectors.tolist(), strict=True)]
+    return [None if math.isnan(x) or math.isnan(y) else (x, y) for x, y in vectors.tolist()]
 
 
 def _knots(path: LidarPath | None) -> NDArray[np.float64]:
