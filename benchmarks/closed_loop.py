@@ -170,12 +170,12 @@ def rival() -> Callable[[], object]:
     return step
 
 
-def main(quick: bool = False, engine: str = "fused", scenario: str = "lta_truck") -> None:
+def main(quick: bool = False, engine: str = "auto", scenario: str = "lta_truck") -> None:
     """Measure the closed loop.
 
     Args:
         quick: under 50 s of a core.
-        engine: execution of the detector, see `dsrc.models.storage.deploy.ENGINES`.
+        engine: execution of the detector, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
         scenario: of the detector's loop.
     """
     try:
@@ -193,7 +193,9 @@ def main(quick: bool = False, engine: str = "fused", scenario: str = "lta_truck"
         for run in runs:
             run.take(steps // _TURNS, until)
     truth.loop.close()  # one simulation of SUMO per process
-    detector = Endless(scenario, open_perception("team", engine=engine))
+    perception = open_perception("team", engine=engine)
+    engine = perception.engine  # type: ignore[attr-defined]
+    detector = Endless(scenario, perception)
     seeing = Run("detector", detector.step)
     detector.step()  # compiles
     detector.seconds = dict.fromkeys(STAGES, 0.0)
@@ -211,7 +213,7 @@ def main(quick: bool = False, engine: str = "fused", scenario: str = "lta_truck"
     agents = len(detector.loop.perception.senses.agents)  # type: ignore[attr-defined]
     console.print(
         f"real time is {REAL_TIME:g} steps a second; truth with {np.median(truth.actors):.0f} vehicles, detector in "
-        f"{scenario} with {agents} sensing agents"
+        f"{scenario} with {agents} sensing agents, engine {engine}"
     )
     console.print(
         f"episodes a minute and thread: {episodes['episodes_min_model']:g} by the error model, "
