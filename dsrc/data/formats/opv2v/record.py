@@ -9,6 +9,7 @@ Source of the keys: OPV2V, ICRA 2022, and the documents of OpenCOOD (data_intro.
 
 import math
 import zlib
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -114,9 +115,8 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
             "predicted_ego_pos": body,
             "ego_speed": float(agent.speed) * 3.6,
             "plan_trajectory": (plan * [1.0, -1.0, 3.6]).tolist(),
-            "vehicles": _vehicles(frame, row, connected_vehicles),
         }
-    )
+    ) + _vehicles(frame, row, connected_vehicles)
     record = msgspec.json.encode(_record(frame, row, zlib.crc32(rest.encode()))).decode()
     # In single quotes the JSON is one scalar for every YAML reader; its own single quotes are escaped.
     return f"{_PREFIX}{record.replace(chr(39), chr(92) + 'u0027')}'\n{rest}"
@@ -165,27 +165,30 @@ def _knots(path: LidarPath | None) -> NDArray[np.float64]:
     return np.concatenate([path.time_s[:, None], path.xyz, path.angles], axis=1)
 
 
-def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> dict[int, dict[str, Any]]:
-    """Return OPV2V's table of the vehicles with a point of the agent, without the agent itself."""
+def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> str:
+    """Return OPV2V's table of the vehicles with a point of the agent, without the agent itself, as YAML."""
     truth = frame.truth
     listed = truth.is_vehicle & (frame.points_on[row] >= 1) & (truth.object_id != frame.agents[row].agent_id)
     if not connected_vehicles:
         listed &= ~np.isin(truth.object_id, [a.agent_id for a in frame.agents])
-    vehicles: dict[int, dict[str, Any]] = {}
-    speeds = np.hypot(frame.velocity[listed, 0], frame.velocity[listed, 1]).tolist()
-    for object_id, box, speed in zip(
-        truth.object_id[listed].tolist(), truth.array[listed].tolist(), speeds, strict=True
-    ):
-        x, y, z, length, width, height, yaw = box
-        vehicles[object_id] = {
-            "angle": [0.0, -math.degrees(yaw), 0.0],
-            "center": [0.0, 0.0, 0.5 * height],
-            "extent": [0.5 * length, 0.5 * width, 0.5 * height],
-            "location": [x, -y, z - 0.5 * height],
-        }
-        if not math.isnan(speed):
-            vehicles[object_id]["speed"] = speed * 3.6
-    return vehicles
+    numbers = np.column_stack([truth.array, np.hypot(frame.velocity[:, 0], frame.velocity[:, 1])])[listed]
+    entries = [_vehicle(i, one.tobytes()) for i, one in zip(truth.object_id[listed].tolist(), numbers, strict=True)]
+    return "vehicles:\n" + "".join(entries) if entries else "vehicles: {}\n"
+
+
+@lru_cache(maxsize=1024)
+def _vehicle(object_id: int, numbers: bytes) -> str:
+    """Return the entry of a vehicle, the same for all agents that see it, by the bits of its box and speed (NaN: none)."""
+    x, y, z, length, width, height, yaw, speed = np.frombuffer(numbers, np.float64).tolist()
+    entry: dict[str, Any] = {
+        "angle": [0.0, -math.degrees(yaw), 0.0],
+        "center": [0.0, 0.0, 0.5 * height],
+        "extent": [0.5 * length, 0.5 * width, 0.5 * height],
+        "location": [x, -y, z - 0.5 * height],
+    }
+    if not math.isnan(speed):
+        entry["speed"] = speed * 3.6
+    return emit({object_id: entry}, indent=2)
 
 
 def read_agent(path: Path) -> Record | Annotation:
