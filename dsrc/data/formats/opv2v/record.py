@@ -178,7 +178,7 @@ def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> str:
 
 @lru_cache(maxsize=1024)
 def _vehicle(object_id: int, numbers: bytes) -> str:
-    """Return the entry of a vehicle, the same for all agents that see it, by the bits of its box and speed (NaN: none)."""
+    """Return the entry of a vehicle, the same for all agents, by the bits of its box and its speed, NaN for none."""
     x, y, z, length, width, height, yaw, speed = np.frombuffer(numbers, np.float64).tolist()
     entry: dict[str, Any] = {
         "angle": [0.0, -math.degrees(yaw), 0.0],
