@@ -93,16 +93,10 @@ def complete_frame(scene: RayScene, street: Street, threads: int | None, subrays
     return lambda: scan_all(scene.with_bodies(now, before, after), sensors, threads=threads)
 
 
-def scene_update(scene: RayScene, vehicles: Fleet) -> Callable[[], None]:
-    """Return the update alone: from the traffic's tables to committed instances that hide each agent's own body."""
+def scene_update(scene: RayScene, vehicles: Fleet) -> Callable[[], object]:
+    """Return the update alone: from the traffic's tables to the bodies and their paths."""
     now, before, after = _instants(vehicles)
-    hidden = tuple(now.boxes.object_id[list(vehicles.agents)].tolist())
-
-    def run() -> None:
-        ready = scene.with_bodies(now, before, after)
-        ready.engine.place(ready.bodies, np.zeros(3), hidden)  # type: ignore[attr-defined]
-
-    return run
+    return lambda: scene.with_bodies(now, before, after)
 
 
 class _Canned:

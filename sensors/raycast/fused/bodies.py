@@ -1,4 +1,8 @@
-"""Moving bodies of the fused engine: their instances in Embree's scene, and the packets that may meet them."""
+"""Solids that the rays of a sweep may meet, and the sensor's poses in their frames.
+
+A body's triangles stay in its own frame: its rays are turned into it. Instances of Embree would do the same, but they
+interpolate and invert a matrix per packet and body, for a quarter of the time of tracing them.
+"""
 
 from typing import NamedTuple
 
@@ -8,208 +12,130 @@ from numpy.typing import NDArray
 from sensors.compiled import compiled
 from sensors.optics.beams import BLOCK
 from sensors.raycast.fused import words
-from sensors.raycast.fused.embree import ANY_RAY, FORMAT_FLOAT3X4_ROW_MAJOR
-from sensors.raycast.fused.memory import World
-from sensors.raycast.fused.words import call
 
-Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 _FAST = {"contract", "nsz", "reassoc", "arcp"}
 _loop = compiled(words, fastmath=_FAST)
-_part = compiled(words, fastmath=_FAST, forceinline=True)
 
-_LERP_ERROR_M = 2e-5
-
-
-class Calls(NamedTuple):
-    """Addresses of the Embree functions that move instances."""
-
-    set_steps: int
-    set_transform: int
-    set_mask: int
-    commit_geometry: int
-    commit_scene: int
+_STRAIGHT_M = 2e-5
 
 
 class BodyPaths(NamedTuple):
-    """Paths of N bodies over a span.
+    """Paths of N bodies.
 
     Attributes:
-        span: (2,) float64 first and last instant, s.
-        times: (K,) float64 instants of the path.
+        times: (K,) float64 instants of the path, s.
         xyz: (N, K, 3) float64 positions, m.
         angles: (N, K, 3) float64 yaw, pitch and roll, rad.
-        origin: (3,) float64 of the scene.
         size: (N, 3) float64 length, width and height, m.
     """
 
-    span: NDArray[np.float64]
-    times: NDArray[np.float64]
-    xyz: NDArray[np.float64]
-    angles: NDArray[np.float64]
-    origin: NDArray[np.float64]
-    size: NDArray[np.float64]
+    times: Doubles
+    xyz: Doubles
+    angles: Doubles
+    size: Doubles
 
 
-@_part
-def _segments(motion: BodyPaths, slot: int, most: int) -> int:
-    """Return the number of straight segments of a body's motion, a power of two.
+class View(NamedTuple):
+    """What a sensor looks at during a sweep, in B blocks of columns.
 
-    Embree interpolates matrices linearly between instants. A chord is off its arc by angle^2 / 8 of the radius,
-    here half of the body's length, and off a bend in the middle of the span by a quarter of the change of velocity
-    times the span.
-    """
-    times, xyz, angles = motion.times, motion.xyz, motion.angles
-    span = motion.span[1] - motion.span[0]
-    fastest, bend = 0.0, 0.0
-    for knot in range(times.shape[0] - 1):
-        interval = times[knot + 1] - times[knot]
-        turn, change = 0.0, 0.0
-        for axis in range(3):
-            turn += np.abs(angles[slot, knot + 1, axis] - angles[slot, knot, axis])
-            if knot > 0:
-                speed = (xyz[slot, knot + 1, axis] - xyz[slot, knot, axis]) / interval
-                before = (xyz[slot, knot, axis] - xyz[slot, knot - 1, axis]) / (times[knot] - times[knot - 1])
-                change += np.abs(speed - before)
-        fastest = max(fastest, turn / interval)
-        bend = max(bend, 0.25 * change * span)
-    needed = fastest * span * np.sqrt(0.5 * motion.size[slot, 0] / (8.0 * _LERP_ERROR_M))
-    segments = 2 if bend > _LERP_ERROR_M else 1
-    while segments < needed and segments < most:
-        segments *= 2
-    return segments
-
-
-@_loop
-def place_bodies(
-    calls: Calls,
-    scene: int,
-    geometry: NDArray[np.int64],
-    shown: NDArray[np.int64],
-    hidden: NDArray[np.int64],
-    object_id: NDArray[np.int64],
-    motion: BodyPaths,
-    steps: NDArray[np.int64],
-    pose: Floats,
-) -> None:
-    """Move the instances of a scene and commit it.
-
-    Args:
-        geometry: (N,) int64 handles of the slots.
-        shown: (N,) int64 number of instants of each slot before; written.
-        hidden: (H,) int64 ids of the bodies that rays of mask bit 0, 1, ... do not see.
-        steps: (N,) int64, written: instants of each slot, equally spaced over the span.
-        pose: (N, T, 3, 4) float32, written: the poses at those instants.
-    """
-    span, times, xyz, angles = motion.span, motion.times, motion.xyz, motion.angles
-    for slot in range(geometry.shape[0]):
-        steps[slot] = _segments(motion, slot, pose.shape[1] - 1) + 1
-        if shown[slot] != steps[slot]:
-            shown[slot] = steps[slot]
-            call(calls.set_steps, (geometry[slot], steps[slot]))
-        mask = np.int64(ANY_RAY)
-        for bit in range(hidden.shape[0]):
-            if hidden[bit] == object_id[slot]:
-                mask &= ~(np.int64(1) << bit)
-        for instant in range(steps[slot]):
-            time = span[0] + (span[1] - span[0]) * instant / (steps[slot] - 1)
-            knot = 0
-            while knot < times.shape[0] - 2 and times[knot + 1] <= time:
-                knot += 1
-            f = min(max((time - times[knot]) / (times[knot + 1] - times[knot]), 0.0), 1.0)
-            a, b = angles[slot, knot], angles[slot, knot + 1]
-            yaw, pitch, roll = a[0] + f * (b[0] - a[0]), a[1] + f * (b[1] - a[1]), a[2] + f * (b[2] - a[2])
-            cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
-            matrix = pose[slot, instant]
-            matrix[0, 0], matrix[0, 1], matrix[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-            matrix[1, 0], matrix[1, 1], matrix[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-            matrix[2, 0], matrix[2, 1], matrix[2, 2] = -sp, cp * sr, cp * cr
-            for axis in range(3):
-                start = xyz[slot, knot, axis]
-                moved = start + f * (xyz[slot, knot + 1, axis] - start)
-                matrix[axis, 3] = moved - motion.origin[axis]
-            call(calls.set_transform, (geometry[slot], instant, FORMAT_FLOAT3X4_ROW_MAJOR, matrix.ctypes.data))
-        call(calls.set_mask, (geometry[slot], mask))
-        call(calls.commit_geometry, (geometry[slot],))
-    call(calls.commit_scene, (scene,))
-
-
-@_loop
-def see_bodies(
-    visible: NDArray[np.bool_],
-    azimuth: NDArray[np.float64],
-    elevation: NDArray[np.float64],
-    spread: float,
-    moments: Floats,
-    instants: Floats,
-    unseen: int,
-    world: World,
-) -> None:
-    """Mark the packets that may meet a body.
-
-    Args:
-        visible: (R, B) bool, written.
-        azimuth: (16 B,) float64 of the columns, ascending or descending, rad.
-        elevation: (R,) float64 rad.
+    Attributes:
+        knots: (B + 1, 3, 4) float64 world_from_lidar at the borders of the blocks.
+        origin: (3,) float64 of the static world's frame.
+        first_s, block_s: time of the first border and from one to the next, s.
+        azimuth: (16 B,) float64 of the columns, ascending or descending, rad; empty for a rosette.
+        elevation: (R,) float64 of the rings, descending, rad.
         spread: largest angle of a ray to its column's azimuth and its ring's elevation, rad.
-        moments: (J, 3, 4) float32 poses of the sensor at some moments from the first to the last of the sweep.
-        instants: (J,) float32 those moments in body time, 0 to 1.
+        cone: (B, 4) float64 axis and half angle of the cone around the rays of each block of a rosette.
         unseen: slot of the body hidden from the sensor, or -1.
     """
-    rings, blocks = visible.shape
-    size, pose, steps = world.body_size, world.body_pose, world.body_steps
-    margin = spread + 0.004
-    for slot in range(size.shape[0]):
-        if slot == unseen:
-            continue
-        middle, left, right = 0.0, 0.0, 0.0
-        bottom, top = np.inf, -np.inf
-        near, far = np.inf, 0.0
-        around = False
-        for moment in range(moments.shape[0]):
-            last = steps[slot] - 1
-            at = min(max(np.float64(instants[moment]), 0.0), 1.0) * last
-            step = min(np.int64(at), last - 1)
-            f = at - step
-            centre_x, centre_y = 0.0, 0.0
-            for corner in range(9):
-                # First the middle of the box, which gives the direction that its corners are measured by.
-                index = corner - 1
-                bx = 0.0 if corner == 0 else (size[slot, 0] * 0.5 + 0.05) * (1.0 if index & 1 else -1.0)
-                by = 0.0 if corner == 0 else (size[slot, 1] * 0.5 + 0.05) * (1.0 if index & 2 else -1.0)
-                bz = size[slot, 2] * 0.5 if corner == 0 else (size[slot, 2] + 0.05 if index & 4 else -0.05)
-                x, y, z = _in_sensor(pose[slot, step], pose[slot, step + 1], f, moments[moment], bx, by, bz)
-                if corner == 0:
-                    centre_x, centre_y = x, y
-                    bearing = np.arctan2(y, x)
-                    if moment == 0:
-                        middle = bearing
-                    shift = _wrap(bearing - middle)
-                    closest = np.inf
-                    continue
-                length = np.sqrt(centre_x * centre_x + centre_y * centre_y) + 1e-9
-                ahead = (x * centre_x + y * centre_y) / length
-                aside = (y * centre_x - x * centre_y) / length
-                closest = min(closest, ahead)
-                far = max(far, np.sqrt(x * x + y * y))
-                bottom, top = min(bottom, z), max(top, z)
-                angle = shift + np.arctan2(aside, ahead)
-                left, right = max(left, angle), min(right, angle)
-            # Between the moments the body may come a little nearer.
-            near = min(near, 0.95 * closest - 0.3)
-            around = around or near <= 0.0
-        if around:
-            near, left, right = 0.0, np.pi, -np.pi
-        low = np.arctan2(bottom, near if bottom < 0.0 else far) - margin
-        high = np.arctan2(top, near if top > 0.0 else far) + margin
-        centre, half = middle + 0.5 * (left + right), 0.5 * (left - right) + margin
-        for block in range(blocks):
-            first, end = azimuth[block * BLOCK], azimuth[block * BLOCK + BLOCK - 1]
-            if np.abs(_wrap(0.5 * (first + end) - centre)) > half + 0.5 * np.abs(end - first):
-                continue
-            for ring in range(rings):
-                if low <= elevation[ring] <= high:
-                    visible[ring, block] = True
+
+    knots: Doubles
+    origin: Doubles
+    first_s: float
+    block_s: float
+    azimuth: Doubles
+    elevation: Doubles
+    spread: float
+    cone: Doubles
+    unseen: int
+
+
+class Sights(NamedTuple):
+    """Solids that the rays of each block may meet: bodies, the nearest first, and the static world; E in all.
+
+    Attributes:
+        start: (B + 1,) int64 where each block starts.
+        slot: (E,) int64 number of the solid, see `World`.
+        top, bottom: (E,) int64 first ring that may meet it, and the one after the last.
+        pose, step: (E, 3, 4) float32 pose of the sensor in the solid's frame at the start of the block, and its change
+            until the next block.
+        bend: (E,) int64 row of `bent` where the sensor moves on no straight line during the block, else -1.
+        bent, bent_step: (K, 16, 3, 4) float32 pose at the start of each column, and its change until the next column.
+    """
+
+    start: Ints
+    slot: Ints
+    top: Ints
+    bottom: Ints
+    pose: NDArray[np.float32]
+    step: NDArray[np.float32]
+    bend: Ints
+    bent: NDArray[np.float32]
+    bent_step: NDArray[np.float32]
+
+
+@_loop
+def _pose(paths: BodyPaths, view: View, slot: int, at: float, matrix: Doubles) -> None:
+    """Write the (3, 4) pose of the sensor in a solid's frame, `at` blocks after the first border."""
+    block = min(int(at), view.knots.shape[0] - 2)
+    share = at - block
+    start, end = view.knots[block], view.knots[block + 1]
+    if slot == paths.size.shape[0]:
+        for axis in range(3):
+            for side in range(4):
+                matrix[axis, side] = start[axis, side] + share * (end[axis, side] - start[axis, side])
+            matrix[axis, 3] -= view.origin[axis]
+        return
+    times, xyz, angles, knot = paths.times, paths.xyz[slot], paths.angles[slot], 0
+    time = view.first_s + view.block_s * at
+    while knot < times.shape[0] - 2 and times[knot + 1] <= time:
+        knot += 1
+    f = min(max((time - times[knot]) / (times[knot + 1] - times[knot]), 0.0), 1.0)
+    yaw, pitch, roll = (
+        angles[knot, 0] + f * (angles[knot + 1, 0] - angles[knot, 0]),
+        angles[knot, 1] + f * (angles[knot + 1, 1] - angles[knot, 1]),
+        angles[knot, 2] + f * (angles[knot + 1, 2] - angles[knot, 2]),
+    )
+    cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+    # The axes of the body in the world are the rows of the inverse rotation.
+    ahead = cy * cp, sy * cp, -sp
+    left = cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr
+    up = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
+    for side in range(4):
+        x = start[0, side] + share * (end[0, side] - start[0, side])
+        y = start[1, side] + share * (end[1, side] - start[1, side])
+        z = start[2, side] + share * (end[2, side] - start[2, side])
+        if side == 3:
+            x -= xyz[knot, 0] + f * (xyz[knot + 1, 0] - xyz[knot, 0])
+            y -= xyz[knot, 1] + f * (xyz[knot + 1, 1] - xyz[knot, 1])
+            z -= xyz[knot, 2] + f * (xyz[knot + 1, 2] - xyz[knot, 2])
+        matrix[0, side] = ahead[0] * x + ahead[1] * y + ahead[2] * z
+        matrix[1, side] = left[0] * x + left[1] * y + left[2] * z
+        matrix[2, side] = up[0] * x + up[1] * y + up[2] * z
+
+
+@_loop
+def _in_sensor(matrix: Doubles, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return a point of a body in the frame of the sensor."""
+    x, y, z = x - matrix[0, 3], y - matrix[1, 3], z - matrix[2, 3]
+    return (
+        matrix[0, 0] * x + matrix[1, 0] * y + matrix[2, 0] * z,
+        matrix[0, 1] * x + matrix[1, 1] * y + matrix[2, 1] * z,
+        matrix[0, 2] * x + matrix[1, 2] * y + matrix[2, 2] * z,
+    )
 
 
 @_loop
@@ -218,18 +144,172 @@ def _wrap(angle: float) -> float:
 
 
 @_loop
-def _in_sensor(
-    a: Floats, b: Floats, f: float, sensor: Floats, x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Return a point of a body in the frame of a sensor; the body's pose runs from `a` to `b`."""
-    wx = (a[0, 0] + f * (b[0, 0] - a[0, 0])) * x + (a[0, 1] + f * (b[0, 1] - a[0, 1])) * y
-    wy = (a[1, 0] + f * (b[1, 0] - a[1, 0])) * x + (a[1, 1] + f * (b[1, 1] - a[1, 1])) * y
-    wz = (a[2, 0] + f * (b[2, 0] - a[2, 0])) * x + (a[2, 1] + f * (b[2, 1] - a[2, 1])) * y
-    wx += (a[0, 2] + f * (b[0, 2] - a[0, 2])) * z + a[0, 3] + f * (b[0, 3] - a[0, 3]) - sensor[0, 3]
-    wy += (a[1, 2] + f * (b[1, 2] - a[1, 2])) * z + a[1, 3] + f * (b[1, 3] - a[1, 3]) - sensor[1, 3]
-    wz += (a[2, 2] + f * (b[2, 2] - a[2, 2])) * z + a[2, 3] + f * (b[2, 3] - a[2, 3]) - sensor[2, 3]
-    return (
-        sensor[0, 0] * wx + sensor[1, 0] * wy + sensor[2, 0] * wz,
-        sensor[0, 1] * wx + sensor[1, 1] * wy + sensor[2, 1] * wz,
-        sensor[0, 2] * wx + sensor[1, 2] * wy + sensor[2, 2] * wz,
-    )
+def _window(
+    paths: BodyPaths, view: View, slot: int, begin: int, end: int, matrix: Doubles
+) -> tuple[float, float, float, float, float]:
+    """Return the angles that a body's box spans between two borders, never too small.
+
+    Returns:
+        Middle and half width of the azimuths, lowest and highest elevation, rad, and a lower bound of the distance, m.
+    """
+    middle, left, right = 0.0, 0.0, 0.0
+    bottom, top = np.inf, -np.inf
+    near, far = np.inf, 0.0
+    length, width, height = paths.size[slot, 0], paths.size[slot, 1], paths.size[slot, 2]
+    for moment in range(3):
+        _pose(paths, view, slot, begin + 0.5 * (end - begin) * moment, matrix)
+        centre_x, centre_y, _ = _in_sensor(matrix, 0.0, 0.0, 0.5 * height)
+        bearing = np.arctan2(centre_y, centre_x)
+        if moment == 0:
+            middle = bearing
+        shift = _wrap(bearing - middle)
+        distance = np.sqrt(centre_x * centre_x + centre_y * centre_y) + 1e-9
+        for corner in range(8):
+            x, y, z = _in_sensor(
+                matrix,
+                (0.5 * length + 0.05) * (1.0 if corner & 1 else -1.0),
+                (0.5 * width + 0.05) * (1.0 if corner & 2 else -1.0),
+                height + 0.05 if corner & 4 else -0.05,
+            )
+            ahead = (x * centre_x + y * centre_y) / distance
+            aside = (y * centre_x - x * centre_y) / distance
+            # Between the moments the body may come a little nearer.
+            near, far = min(near, 0.95 * ahead - 0.3), max(far, np.sqrt(x * x + y * y))
+            bottom, top = min(bottom, z), max(top, z)
+            angle = shift + np.arctan2(aside, ahead)
+            left, right = max(left, angle), min(right, angle)
+    if near <= 0.0:
+        near, left, right = 0.0, np.pi, -np.pi
+    margin = view.spread + 0.004
+    low = np.arctan2(bottom, near if bottom < 0.0 else far) - margin
+    high = np.arctan2(top, near if top > 0.0 else far) + margin
+    return middle + 0.5 * (left + right), 0.5 * (left - right) + margin, low, high, near
+
+
+@_loop
+def _in_window(view: View, block: int, centre: float, half: float) -> bool:
+    """Return whether a block of a spinning sensor looks into a window."""
+    first, end = view.azimuth[block * BLOCK], view.azimuth[block * BLOCK + BLOCK - 1]
+    return np.abs(_wrap(0.5 * (first + end) - centre)) <= half + 0.5 * np.abs(end - first)
+
+
+@_loop
+def _sphere(paths: BodyPaths, view: View, slot: int, matrix: Doubles) -> tuple[float, float, float, float]:
+    """Return x, y, z and radius of a sphere in the frame of the sensor that holds a body during the whole sweep."""
+    blocks = view.knots.shape[0] - 1
+    length, width, height = paths.size[slot, 0], paths.size[slot, 1], paths.size[slot, 2]
+    moved = 0.0
+    _pose(paths, view, slot, 0.5 * blocks, matrix)
+    x, y, z = _in_sensor(matrix, 0.0, 0.0, 0.5 * height)
+    for at in (0.0, float(blocks)):
+        _pose(paths, view, slot, at, matrix)
+        end_x, end_y, end_z = _in_sensor(matrix, 0.0, 0.0, 0.5 * height)
+        moved = max(moved, np.sqrt((end_x - x) ** 2 + (end_y - y) ** 2 + (end_z - z) ** 2))
+    return x, y, z, 0.5 * np.sqrt(length * length + width * width + height * height) + 1.1 * moved + 0.1
+
+
+@_loop
+def _in_cone(view: View, block: int, x: float, y: float, z: float, radius: float) -> bool:
+    """Return whether a block of a rosette looks into a sphere."""
+    distance = np.sqrt(x * x + y * y + z * z)
+    if distance <= radius:
+        return True
+    along = view.cone[block, 0] * x + view.cone[block, 1] * y + view.cone[block, 2] * z
+    return along >= distance * np.cos(min(view.cone[block, 3] + np.arcsin(radius / distance), np.pi))
+
+
+@_loop
+def _straight(paths: BodyPaths, view: View, slot: int, block: int, motion: Doubles) -> bool:
+    """Return whether the sensor moves on a straight line in a solid's frame during a block; write its poses then.
+
+    The deviation in the middle is at least half the largest one, also where a path has a knot within the block.
+
+    Args:
+        motion: (3, 3, 4) written: at the start, in the middle and at the end of the block.
+    """
+    for part in range(3):
+        _pose(paths, view, slot, block + 0.5 * part, motion[part])
+    x, y, z = motion[1, 0, 3], motion[1, 1, 3], motion[1, 2, 3]
+    distance = np.sqrt(x * x + y * y + z * z)
+    for axis in range(3):
+        for side in range(4):
+            off = motion[1, axis, side] - 0.5 * (motion[0, axis, side] + motion[2, axis, side])
+            if np.abs(off) * (1.0 if side == 3 else distance) > _STRAIGHT_M:
+                return False
+    return True
+
+
+@_loop
+def sight_bodies(paths: BodyPaths, view: View) -> Sights:
+    """Return the solids that the rays of each block may meet."""
+    blocks, bodies = view.knots.shape[0] - 1, paths.size.shape[0]
+    seen, near = np.zeros((bodies + 1, blocks), np.bool_), np.zeros(bodies + 1)
+    order, start = np.zeros(bodies + 1, np.int64), np.zeros(blocks + 1, np.int64)
+    top, bottom = np.zeros(bodies + 1, np.int64), np.zeros(bodies + 1, np.int64)
+    motion = np.zeros((3, 3, 4))
+    near[bodies], bottom[bodies] = np.inf, view.elevation.shape[0]
+    for block in range(blocks):
+        seen[bodies, block] = True
+    for slot in range(bodies):
+        if slot == view.unseen:
+            continue
+        if view.cone.shape[0] > 0:
+            x, y, z, radius = _sphere(paths, view, slot, motion[0])
+            near[slot] = np.sqrt(x * x + y * y + z * z) - radius
+            for block in range(blocks):
+                seen[slot, block] = _in_cone(view, block, x, y, z, radius)
+            bottom[slot] = view.elevation.shape[0]
+        else:
+            begin, end = 0, blocks
+            # Only blocks that can meet the body in the whole sweep matter, so only its window while they fire.
+            for _ in range(2):
+                centre, half, low, high, near[slot] = _window(paths, view, slot, begin, end, motion[0])
+                first, last = end, begin
+                for block in range(begin, end):
+                    seen[slot, block] = _in_window(view, block, centre, half)
+                    if seen[slot, block]:
+                        first, last = min(first, block), block + 1
+                begin, end = first, max(first, last)
+            for elevation in view.elevation:
+                top[slot] += elevation > high
+                bottom[slot] += elevation >= low
+    for slot in range(bodies + 1):
+        place = slot
+        while place > 0 and near[order[place - 1]] > near[slot]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = slot
+        for block in range(blocks):
+            start[block + 1] += seen[slot, block]
+    for block in range(blocks):
+        start[block + 1] += start[block]
+    count = start[blocks]
+    slots, tops, bottoms = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64)
+    pose, step = np.zeros((count, 3, 4), np.float32), np.zeros((count, 3, 4), np.float32)
+    bend, bends = np.zeros(count, np.int64), 0
+    free = start.copy()
+    for slot in order:
+        for block in range(blocks):
+            if not seen[slot, block]:
+                continue
+            entry = free[block]
+            free[block] += 1
+            slots[entry], tops[entry], bottoms[entry], bend[entry] = slot, top[slot], bottom[slot], -1
+            if not _straight(paths, view, slot, block, motion):
+                bend[entry] = bends
+                bends += 1
+            for axis in range(3):
+                for side in range(4):
+                    pose[entry, axis, side] = motion[0, axis, side]
+                    step[entry, axis, side] = motion[2, axis, side] - motion[0, axis, side]
+    bent, bent_step = np.zeros((bends, BLOCK, 3, 4), np.float32), np.zeros((bends, BLOCK, 3, 4), np.float32)
+    for block in range(blocks):
+        for entry in range(start[block], start[block + 1]):
+            for column in range(BLOCK if bend[entry] >= 0 else 0):
+                _pose(paths, view, slots[entry], block + column / BLOCK, motion[0])
+                _pose(paths, view, slots[entry], block + (column + 1) / BLOCK, motion[1])
+                for axis in range(3):
+                    for side in range(4):
+                        bent[bend[entry], column, axis, side] = motion[0, axis, side]
+                        bent_step[bend[entry], column, axis, side] = motion[1, axis, side] - motion[0, axis, side]
+    return Sights(start, slots, tops, bottoms, pose, step, bend, bent, bent_step)

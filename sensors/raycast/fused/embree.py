@@ -1,7 +1,7 @@
 """Embree 4 through ctypes: the library inside embreex's wheel.
 
-embreex's own interface casts single rays into one static scene. The library can do more: packets of 4, 8 or 16 rays,
-instances that move during a sweep, and masks. The names and numbers are those of Embree's public header `rtcore.h`.
+embreex's own interface casts single rays. The library can do more: coherent packets of 4, 8 or 16 rays. The names and
+numbers are those of Embree's public header `rtcore.h`.
 """
 
 import ctypes
@@ -14,20 +14,17 @@ from numpy.typing import NDArray
 
 from sensors.raycast.base import EngineUnavailable, Solid
 
-ANY_RAY = 0xFFFFFFFF
-"""Mask of a geometry visible to all rays."""
+_ANY_RAY = 0xFFFFFFFF
 INVALID = 0xFFFFFFFF
-FORMAT_FLOAT3X4_ROW_MAJOR = 0x9134
 
 RAY_ROWS = 21
 """Rows of a packet: 12 of the ray, then normal x y z, u, v, primitive, geometry, instance and its primitive."""
 
 _FORMAT_UINT3, _FORMAT_FLOAT3 = 0x5003, 0x9003
 _BUFFER_INDEX, _BUFFER_VERTEX = 0, 1
-_TRIANGLE, _INSTANCE = 0, 121
-_SCENE_DYNAMIC, _SCENE_ROBUST = 1 << 0, 1 << 2
+_TRIANGLE = 0
+_SCENE_ROBUST = 1 << 2
 """Robust: watertight at shared edges, for an eighth of the speed."""
-_BUILD_LOW = 0
 _VERSION = 0
 _NATIVE_WIDTHS = {16: 34, 8: 33, 4: 32}
 _COHERENT = 1 << 16
@@ -43,17 +40,11 @@ _SIGNATURES: dict[str, tuple[type | None, tuple[type, ...]]] = {
     "rtcNewScene": (_POINTER, (_POINTER,)),
     "rtcReleaseScene": (None, (_POINTER,)),
     "rtcSetSceneFlags": (None, (_POINTER, _INT)),
-    "rtcSetSceneBuildQuality": (None, (_POINTER, _INT)),
     "rtcCommitScene": (None, (_POINTER,)),
     "rtcNewGeometry": (_POINTER, (_POINTER, _INT)),
     "rtcReleaseGeometry": (None, (_POINTER,)),
     "rtcCommitGeometry": (None, (_POINTER,)),
-    "rtcEnableGeometry": (None, (_POINTER,)),
-    "rtcDisableGeometry": (None, (_POINTER,)),
     "rtcSetGeometryMask": (None, (_POINTER, _UINT)),
-    "rtcSetGeometryTimeStepCount": (None, (_POINTER, _UINT)),
-    "rtcSetGeometryTransform": (None, (_POINTER, _UINT, _INT, _POINTER)),
-    "rtcSetGeometryInstancedScene": (None, (_POINTER, _POINTER)),
     "rtcAttachGeometryByID": (None, (_POINTER, _POINTER, _UINT)),
     "rtcSetSharedGeometryBuffer": (
         None,
@@ -152,7 +143,7 @@ class Hierarchy:
             share(geometry, _BUFFER_VERTEX, 0, _FORMAT_FLOAT3, vertices.ctypes.data, 0, 12, len(vertices) - 1)
             share(geometry, _BUFFER_INDEX, 0, _FORMAT_UINT3, faces.ctypes.data, 0, 12, len(faces))
             # Without this a geometry is seen by the rays of mask 1 only.
-            lib.api.rtcSetGeometryMask(geometry, ANY_RAY)
+            lib.api.rtcSetGeometryMask(geometry, _ANY_RAY)
             lib.api.rtcCommitGeometry(geometry)
             lib.api.rtcAttachGeometryByID(self.handle, geometry, 0)
             lib.api.rtcReleaseGeometry(geometry)
@@ -161,51 +152,4 @@ class Hierarchy:
 
     def __del__(self) -> None:
         if handle := getattr(self, "handle", None):
-            self._lib.api.rtcReleaseScene(handle)
-
-
-class InstanceScene:
-    """Embree scene of slots, one instance each; the compiled `place_bodies` moves them.
-
-    Attributes:
-        handle: of the scene.
-        geometry: (N,) int64 handles of the slots.
-        steps: (N,) int64 motion time steps of each slot, 0 before it was placed.
-    """
-
-    def __init__(self) -> None:
-        """Make an empty scene."""
-        lib = library()
-        self._lib = lib
-        self.handle: int = lib.api.rtcNewScene(lib.device)
-        lib.api.rtcSetSceneFlags(self.handle, _SCENE_DYNAMIC | _SCENE_ROBUST)
-        lib.api.rtcSetSceneBuildQuality(self.handle, _BUILD_LOW)
-        self.geometry: NDArray[np.int64] = np.zeros(0, np.int64)
-        self.steps: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._shown: list[Hierarchy | None] = []
-        self._used = 0
-
-    def show(self, hierarchies: list[Hierarchy]) -> None:
-        """Assign hierarchy i to slot i and disable all other slots."""
-        api, wanted, attached = self._lib.api, len(hierarchies), len(self._shown)
-        for slot in range(self._used, min(wanted, attached)):
-            api.rtcEnableGeometry(int(self.geometry[slot]))
-        for slot in range(wanted, self._used):
-            api.rtcDisableGeometry(int(self.geometry[slot]))
-        for slot in range(attached, wanted):
-            geometry = api.rtcNewGeometry(self._lib.device, _INSTANCE)
-            api.rtcAttachGeometryByID(self.handle, geometry, slot)
-            self.geometry = np.append(self.geometry, geometry)
-            self.steps = np.append(self.steps, 0)
-            self._shown.append(None)
-        self._used = wanted
-        for slot, hierarchy in enumerate(hierarchies):
-            if self._shown[slot] is not hierarchy:
-                api.rtcSetGeometryInstancedScene(int(self.geometry[slot]), hierarchy.handle)
-                self._shown[slot] = hierarchy
-
-    def __del__(self) -> None:
-        if handle := getattr(self, "handle", None):
-            for geometry in self.geometry:
-                self._lib.api.rtcReleaseGeometry(int(geometry))
             self._lib.api.rtcReleaseScene(handle)

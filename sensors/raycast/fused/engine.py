@@ -1,8 +1,8 @@
 """Fused engine: Embree's widest coherent packets inside one compiled loop.
 
-A hierarchy is built once per solid; per frame only the poses of instances change. The work of a frame is cut into
-sweeps, the last ones into blocks of rings, which threads take in turn. Each block writes its own rows, so that the
-number of threads changes no byte.
+A hierarchy is built once per solid; per sweep only the sensor's poses in the frames of the bodies change. The work of a
+frame is cut into sweeps, the last ones into blocks of rings, which threads take in turn. Each block writes its own
+rows, so that the number of threads changes no byte.
 """
 
 import os
@@ -17,42 +17,26 @@ from weakref import WeakKeyDictionary, WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.optics.beams import BLOCK, Beams
+from sensors.optics.beams import BLOCK, Beams, halo
 from sensors.raycast.base import Bodies, Hits, Returns, Solid, SweepRequest
-from sensors.raycast.fused.bodies import BodyPaths, Calls, place_bodies, see_bodies
-from sensors.raycast.fused.embree import Hierarchy, InstanceScene, library
+from sensors.raycast.fused.bodies import BodyPaths, View, sight_bodies
+from sensors.raycast.fused.embree import Hierarchy, library
 from sensors.raycast.fused.kernel import ROOM_WORDS, cast_rays, close_gap, sweep_rings
 from sensors.raycast.fused.memory import Scratch, Tables, World
+from sensors.sweep import STATIC
 
-_FREE_BIT = 31
-"""Ray-mask bit of sensors that hide no body; each bit below hides one body from the sensor that it carries."""
-_MOST_SEGMENTS = 16
 _RETURNS = {"strongest": 0, "last": 1, "dual": 2}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fleet:
-    """Hierarchies of all bodies, one per slot, with the materials of all faces in one table."""
+class _Hierarchies:
+    """Hierarchies of the bodies and the static world, with the materials of all faces in one table; see `World`."""
 
     solids: tuple[Solid, ...]
-    hierarchies: list[Hierarchy]
+    kept: list[Hierarchy]
+    scene: NDArray[np.int64]
     material: NDArray[np.uint8]
     offset: NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Placed:
-    """State of the instance scene: bodies and their poses."""
-
-    bodies: Bodies
-    origin: NDArray[np.float64]
-    hidden: tuple[int, ...]
-    fleet: _Fleet
-    pose: NDArray[np.float32]
-    steps: NDArray[np.int64]
-
-    def shows(self, bodies: Bodies, origin: NDArray[np.float64], hidden: tuple[int, ...]) -> bool:
-        return self.bodies is bodies and self.hidden == hidden and bool((self.origin == origin).all())
 
 
 class FusedEngine:
@@ -63,21 +47,11 @@ class FusedEngine:
     def __init__(self) -> None:
         """Load Embree; `EngineUnavailable` when embreex's wheel has no known version."""
         self._library = library()
-        # One instance scene serves all callers of the process.
         self._lock = threading.Lock()
         _engines.add(self)
         self._hierarchies: WeakKeyDictionary[Solid, Hierarchy] = WeakKeyDictionary()
-        self._moving = InstanceScene()
-        self._placed: _Placed | None = None
+        self._last = self._of(())
         self._single = _scratch(self._library.width)
-        address = self._library.address
-        self._calls = Calls(
-            set_steps=address("rtcSetGeometryTimeStepCount"),
-            set_transform=address("rtcSetGeometryTransform"),
-            set_mask=address("rtcSetGeometryMask"),
-            commit_geometry=address("rtcCommitGeometry"),
-            commit_scene=address("rtcCommitScene"),
-        )
 
     def cast(
         self,
@@ -103,56 +77,27 @@ class FusedEngine:
         rays = (np.ascontiguousarray(rows, np.float32).reshape(-1, 3) for rows in (origins, directions))
         with self._lock:
             hierarchies = [self._hierarchy(solid) for solid in solids]
-            if not hierarchies:
-                return hits
             scenes = np.array([hierarchy.handle for hierarchy in hierarchies], np.int64)
-            world = self._world(hierarchies[0], None)
-            parts = scenes, np.array(counts, np.int64)
-            cast_rays(world, self._single, *parts, *rays, distance, hits.face, hits.cosine)
+            address, parts = (self._library.intersect, self._library.arguments), (scenes, np.array(counts, np.int64))
+            cast_rays(*address, self._single, *parts, *rays, distance, hits.face, hits.cosine)
         return hits
-
-    def place(self, bodies: Bodies, origin: NDArray[np.float64], hidden: tuple[int, ...] = ()) -> None:
-        """Move the instances to the bodies' poses relative to an origin; `sweep` calls it where needed.
-
-        Args:
-            origin: (3,) world frame.
-            hidden: ids of bodies hidden from some sensor, at most 31.
-        """
-        placed = self._placed
-        if placed is not None and placed.shows(bodies, origin, hidden):
-            return
-        fleet = self._fleet(bodies.solids)
-        # Interrupted half-way, the scene is in no valid state.
-        self._placed = None
-        self._moving.show(fleet.hierarchies)
-        path, count = bodies.path, len(bodies)
-        steps, pose = np.zeros(count, np.int64), np.zeros((count, _MOST_SEGMENTS + 1, 3, 4), np.float32)
-        place_bodies(
-            self._calls,
-            self._moving.handle,
-            self._moving.geometry[:count],
-            self._moving.steps[:count],
-            np.array(hidden, np.int64),
-            bodies.object_id,
-            BodyPaths(np.array(bodies.span_s), path.time_s, path.xyz, path.angles, origin, bodies.size),
-            steps,
-            pose,
-        )
-        self._library.check()
-        self._placed = _Placed(bodies, origin, hidden, fleet, pose, steps)
 
     def sweep(self, static: Solid, bodies: Bodies, requests: Sequence[SweepRequest], threads: int) -> list[Returns]:
         """Make sweeps; see `sensors.raycast.Engine`."""
-        made: list[Returns] = []
         with self._lock:
-            for group in _groups(requests):
-                hidden = _hidden(group)
-                self.place(bodies, static.origin, hidden)
-                world = self._world(self._hierarchy(static), self._placed)
-                jobs = [_SweepTask(request, static.origin, bodies, hidden) for request in group]
-                _run(jobs, world, self._library.width, threads)
-                made.extend(job.returns() for job in jobs)
-        return made
+            if self._last.solids != (*bodies.solids, static):
+                self._last = self._of((*bodies.solids, static))
+            world = World(
+                intersect=self._library.intersect,
+                arguments=self._library.arguments,
+                scene=self._last.scene,
+                object_id=np.append(bodies.object_id, STATIC).astype(np.int32),
+                material=self._last.material,
+                offset=self._last.offset,
+            )
+            jobs = [_SweepTask(request, static.origin, bodies) for request in requests]
+            _run(jobs, world, self._library.width, threads)
+        return [job.returns() for job in jobs]
 
     def _hierarchy(self, solid: Solid) -> Hierarchy:
         """Return the hierarchy of a solid, built at first use and kept as long as the solid."""
@@ -161,69 +106,37 @@ class FusedEngine:
             known = self._hierarchies[solid] = Hierarchy(solid)
         return known
 
-    def _fleet(self, solids: tuple[Solid, ...]) -> _Fleet:
-        if self._placed is not None and self._placed.fleet.solids == solids:
-            return self._placed.fleet
+    def _of(self, solids: tuple[Solid, ...]) -> _Hierarchies:
         hierarchies = [self._hierarchy(solid) for solid in solids]
         first = {id(hierarchy): hierarchy for hierarchy in hierarchies}
         sizes = np.cumsum([0, *(len(hierarchy.material) for hierarchy in first.values())])
         start = dict(zip(first, sizes.tolist(), strict=False))
-        material = [hierarchy.material for hierarchy in first.values()]
-        return _Fleet(
+        return _Hierarchies(
             solids=solids,
-            hierarchies=hierarchies,
-            material=np.concatenate(material) if material else np.zeros(1, np.uint8),
+            kept=hierarchies,
+            scene=np.array([hierarchy.handle for hierarchy in hierarchies], np.int64),
+            material=np.concatenate([np.zeros(0, np.uint8), *(hierarchy.material for hierarchy in first.values())]),
             offset=np.array([start[id(hierarchy)] for hierarchy in hierarchies], np.int64),
-        )
-
-    def _world(self, static: Hierarchy, placed: _Placed | None) -> World:
-        moving = placed is not None and len(placed.bodies) > 0
-        return World(
-            intersect=self._library.intersect,
-            arguments=self._library.arguments,
-            static=static.handle,
-            moving=self._moving.handle if moving else 0,
-            static_material=static.material,
-            body_material=placed.fleet.material if placed is not None else np.zeros(1, np.uint8),
-            body_offset=placed.fleet.offset if placed is not None else np.zeros(0, np.int64),
-            body_id=placed.bodies.object_id.astype(np.int32) if placed is not None else np.zeros(0, np.int32),
-            body_size=placed.bodies.size if placed is not None else np.zeros((0, 3)),
-            body_pose=placed.pose if placed is not None else np.zeros((0, 2, 3, 4), np.float32),
-            body_steps=placed.steps if placed is not None else np.zeros(0, np.int64),
         )
 
 
 class _SweepTask:
     """One sweep in progress: its tables and the rows of its points."""
 
-    def __init__(
-        self, request: SweepRequest, origin: NDArray[np.float64], bodies: Bodies, hidden: tuple[int, ...]
-    ) -> None:
+    def __init__(self, request: SweepRequest, origin: NDArray[np.float64], bodies: Bodies) -> None:
         self.beams = request.beams
-        self.tables = _tables(request, origin, bodies.span_s, hidden)
+        self.tables = _tables(request)
         self.columns = _room(request)
-        self.unseen = -1
-        if request.hidden_id is not None and request.hidden_id in hidden:
-            self.unseen = int(np.searchsorted(bodies.object_id, request.hidden_id))
+        path = bodies.path
+        self._paths = BodyPaths(path.time_s, path.xyz, path.angles, bodies.size)
+        self._view = _view(request, origin, bodies.object_id)
         self._rows: dict[int, int] = {}
 
     def make(self, world: World, scratch: Scratch, first: int, last: int) -> None:
         """Write the points of rings `first` to `last` from the row on that they have when no point is missing."""
         start = first * self._rows_per_ring
-        visible = np.ones((last - first, self.beams.blocks), np.bool_)
-        if (fan := self.beams.fan) is not None and world.moving:
-            visible[:] = False
-            see_bodies(
-                visible,
-                fan.azimuth,
-                fan.elevation[first:last],
-                fan.spread,
-                self.tables.ray_pose[self._moments],
-                self.tables.clock[0] + self.tables.clock[1] * self._moments.astype(np.float32),
-                self.unseen,
-                world,
-            )
-        end = sweep_rings(self.tables, world, visible, scratch, self.columns, start, first, last)
+        sights = sight_bodies(self._paths, self._view)
+        end = sweep_rings(self.tables, world, sights, scratch, self.columns, start, first, last)
         self._rows[start] = end
 
     def returns(self) -> Returns:
@@ -238,10 +151,6 @@ class _SweepTask:
     @property
     def _rows_per_ring(self) -> int:
         return len(self.columns.ring) // self.beams.rings
-
-    @property
-    def _moments(self) -> NDArray[np.int64]:
-        return np.array([0, self.beams.blocks // 2, self.beams.blocks - 1])
 
 
 def _run(jobs: Sequence[_SweepTask], world: World, width: int, threads: int) -> None:
@@ -310,13 +219,34 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def _tables(
-    request: SweepRequest, origin: NDArray[np.float64], span_s: tuple[float, float], hidden: tuple[int, ...]
-) -> Tables:
+def _view(request: SweepRequest, origin: NDArray[np.float64], object_id: NDArray[np.int64]) -> View:
+    beams, column_s = request.beams, request.spec.column_s
+    fan, nothing = beams.fan, np.zeros(0)
+    hidden = np.flatnonzero(object_id == request.hidden_id).tolist()
+    return View(
+        knots=request.knots,
+        origin=origin,
+        first_s=float(request.time_s - 0.5 * beams.columns * column_s),
+        block_s=float(BLOCK * column_s),
+        azimuth=nothing if fan is None else fan.azimuth,
+        elevation=np.zeros(beams.rings) if fan is None else fan.elevation,
+        spread=0.0 if fan is None else fan.spread,
+        cone=_cones(request) if fan is None else np.zeros((0, 4)),
+        unseen=hidden[0] if hidden else -1,
+    )
+
+
+def _cones(request: SweepRequest) -> NDArray[np.float64]:
+    """Return (B, 4) axis and half angle, rad, of the cone around the rays of each block."""
+    rays = request.beams.axis.reshape(3, request.beams.rings, -1, BLOCK).astype(np.float64)
+    axis = rays.mean(axis=(1, 3))
+    axis /= np.maximum(np.linalg.norm(axis, axis=0), 1e-9)
+    along = (rays * axis[:, None, :, None]).sum(axis=0).min(axis=(0, 2))
+    return np.ascontiguousarray(np.column_stack([axis.T, np.arccos(np.clip(along, -1.0, 1.0)) + halo(request.spec)]))
+
+
+def _tables(request: SweepRequest) -> Tables:
     spec, beams, optics = request.spec, request.beams, request.optics
-    start, end = span_s
-    first_s = request.time_s - 0.5 * beams.columns * spec.column_s
-    clock = ((first_s - start) / (end - start), BLOCK * spec.column_s / (end - start))
     law = (
         1.0 / optics.reach_m,
         optics.gate_m,
@@ -327,19 +257,16 @@ def _tables(
         spec.dropoff_rate,
     )
     packed = _packed(beams)
-    ray_pose, ray_step = _blocks(request.knots, origin)
-    point_pose, point_step = _blocks(request.knots, request.pose[:3, 3], request.pose[:3, :3].T)
-    bit = hidden.index(request.hidden_id) if request.hidden_id in hidden else _FREE_BIT
+    knots = request.knots.copy()
+    knots[:, :, 3] -= request.pose[:3, 3]
+    knots = request.pose[:3, :3].T @ knots
     return Tables(
         axis=packed.axis,
         subray=packed.subray,
         lane=packed.lane,
         reach=beams.reach,
-        ray_pose=ray_pose,
-        ray_step=ray_step,
-        point_pose=point_pose,
-        point_step=point_step,
-        clock=np.array(clock, np.float32),
+        point_pose=knots[:-1].astype(np.float32),
+        point_step=np.diff(knots, axis=0).astype(np.float32),
         power=optics.power.reshape(-1),
         need=optics.need,
         scale=optics.scale,
@@ -352,7 +279,6 @@ def _tables(
         share=beams.firing_share,
         column_s=np.float32(spec.column_s),
         columns=beams.columns,
-        mask=1 << bit,
     )
 
 
@@ -382,17 +308,6 @@ def _by_block(directions: NDArray[np.float32]) -> NDArray[np.float32]:
     *outer, axes, rings, columns = directions.shape
     split = directions.reshape(*outer, axes, rings, columns // BLOCK, BLOCK)
     return np.ascontiguousarray(np.moveaxis(split, -4, -2))
-
-
-def _blocks(
-    knots: NDArray[np.float64], origin: NDArray[np.float64], turn: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return (B, 3, 4) poses at the starts of the blocks, in a frame at `origin`, and their change until the next."""
-    placed = knots.copy()
-    placed[:, :, 3] -= origin
-    if turn is not None:
-        placed = turn @ placed
-    return placed[:-1].astype(np.float32), np.diff(placed, axis=0).astype(np.float32)
 
 
 def _room(request: SweepRequest) -> Returns:
@@ -430,17 +345,3 @@ def _scratch(width: int) -> Scratch:
         material=np.zeros((8, BLOCK), np.uint8),
         owner=owner,
     )
-
-
-def _groups(requests: Sequence[SweepRequest]) -> list[list[SweepRequest]]:
-    """Split the requests into groups whose hidden bodies fit into the bits of a ray mask."""
-    groups: list[list[SweepRequest]] = [[]]
-    for request in requests:
-        if len(_hidden([*groups[-1], request])) > _FREE_BIT:
-            groups.append([])
-        groups[-1].append(request)
-    return groups
-
-
-def _hidden(requests: Sequence[SweepRequest]) -> tuple[int, ...]:
-    return tuple(sorted({request.hidden_id for request in requests if request.hidden_id is not None}))

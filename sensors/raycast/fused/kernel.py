@@ -1,7 +1,7 @@
 """Kernel of the fused engine: one compiled loop that generates, traces, measures and packs the rays of a sweep.
 
-Packets hold the rays of `width` columns of one ring. A packet stays in the first-level cache: it is filled, traced
-through the moving bodies, then with its shortened reach through the static world, and read, before the next one.
+Packets hold the rays of `width` columns of one ring. They stay in the first-level cache: they are filled, traced and
+read in the frame of each solid that they may meet, the nearest body first and the static world last.
 
 Shapes: R rings, B blocks of 16 columns, S sub-rays, N bodies, T instants of their motion, M materials.
 """
@@ -15,13 +15,12 @@ from sensors.optics.noise import ACROSS, LOST_AFTER, LOST_BEFORE, RANGE, SECOND_
 from sensors.optics.reflectance import COSINE_BINS, RANGE_BINS
 from sensors.raycast.base import Returns
 from sensors.raycast.fused import words
+from sensors.raycast.fused.bodies import Sights
 from sensors.raycast.fused.embree import INVALID, RAY_ROWS
 from sensors.raycast.fused.memory import Scratch, Tables, World
-from sensors.raycast.fused.words import bits_of, call, copy_row, count, interleave, squeeze
-from sensors.sweep import STATIC
+from sensors.raycast.fused.words import call, copy_row
 
 Floats = NDArray[np.float32]
-Turn = tuple[np.float32, np.float32, np.float32]
 
 _FAST = {"contract", "nsz", "reassoc", "arcp"}
 _loop = compiled(words, fastmath=_FAST)
@@ -30,13 +29,12 @@ _part = compiled(words, fastmath=_FAST, forceinline=True)
 _word = compiled(words, fastmath=_FAST, inline="always")
 """For expressions: separate compilation for each mixture of integers would take longer than all else."""
 
-_DIRECTION, _TIME, _REACH, _MASK = 4, 7, 8, 9
-_NORMAL, _PRIMITIVE, _GEOMETRY, _INSTANCE = 12, 17, 18, 19
+_DIRECTION, _REACH, _MASK = 4, 8, 9
+_NORMAL, _PRIMITIVE, _GEOMETRY = 12, 17, 18
 """Rows of a packet; the ray's origin is row 0 and its nearest distance, always 0, row 3."""
 
 _MOST_SUBRAYS = 8
 _LAST, _DUAL = 1, 2
-_NO_AXIS = (np.float32(0.0), np.float32(0.0), np.float32(0.0))
 
 # Where the rows of 16 words of `Scratch.room` start, after the packets.
 _LANE = RAY_ROWS * BLOCK
@@ -48,12 +46,9 @@ _OBJECT = _POWER + _MOST_SUBRAYS * BLOCK
 _MEASURED = _OBJECT + _MOST_SUBRAYS * BLOCK
 _INTENSITY = _MEASURED + 2 * BLOCK
 _POINT = _INTENSITY + 2 * BLOCK
-_COLUMN = _POINT + 2 * 3 * BLOCK
-_SCALE = _COLUMN + BLOCK
+_SCALE = _POINT + 2 * 3 * BLOCK
 _KEEP = _SCALE + BLOCK
-_KEEP_AXES = _KEEP + 2 * BLOCK
-_PLACE = _KEEP_AXES + 3 * BLOCK
-_DRAW = _PLACE + 3 * BLOCK
+_DRAW = _KEEP + 2 * BLOCK
 _AXIS = _DRAW + 2 * BLOCK
 ROOM_WORDS = _AXIS + 3 * BLOCK
 
@@ -103,24 +98,32 @@ def _aim(tables: Tables, scratch: Scratch, ring: int, block: int, subray: int) -
             room[_at(_AIM, 2, lane)] = (z + e * level * level) * unit
 
 
+@_loop
+def _turn_each(sights: Sights, scratch: Scratch, bend: int) -> None:
+    """Fill the packets with the aimed rays, each by its column's own pose."""
+    width = len(scratch.lanes)
+    room = scratch.room
+    for at in range(BLOCK):
+        f = np.float32(BLOCK) * room[_at(_LANE, 0, at)] - np.float32(at)
+        x, y, z = room[_at(_AIM, 0, at)], room[_at(_AIM, 1, at)], room[_at(_AIM, 2, at)]
+        part, lane = at // width, at % width
+        for axis in range(3):
+            m, d = sights.bent[bend, at, axis], sights.bent_step[bend, at, axis]
+            room[_in_packet(width, part, axis, lane)] = m[3] + f * d[3]
+            room[_in_packet(width, part, _DIRECTION + axis, lane)] = (
+                (m[0] + f * d[0]) * x + (m[1] + f * d[1]) * y + (m[2] + f * d[2]) * z
+            )
+
+
 @_part
-def _load(tables: Tables, scratch: Scratch, ring: int, block: int, moving: bool) -> None:
-    """Fill the packets with the aimed rays, from the sensor's place at each firing."""
+def _trace(world: World, sights: Sights, scratch: Scratch, entry: int) -> None:
+    """Fill the packets with the aimed rays, from the sensor's place at each firing, and trace them through a solid."""
     width = len(scratch.lanes)
     room, word = scratch.room, scratch.word
+    pose, step = sights.pose, sights.step
     for axis in range(3):
-        m0, m1, m2, m3 = (
-            tables.ray_pose[block, axis, 0],
-            tables.ray_pose[block, axis, 1],
-            tables.ray_pose[block, axis, 2],
-            tables.ray_pose[block, axis, 3],
-        )
-        d0, d1, d2, d3 = (
-            tables.ray_step[block, axis, 0],
-            tables.ray_step[block, axis, 1],
-            tables.ray_step[block, axis, 2],
-            tables.ray_step[block, axis, 3],
-        )
+        m0, m1, m2, m3 = pose[entry, axis, 0], pose[entry, axis, 1], pose[entry, axis, 2], pose[entry, axis, 3]
+        d0, d1, d2, d3 = step[entry, axis, 0], step[entry, axis, 1], step[entry, axis, 2], step[entry, axis, 3]
         for part in range(BLOCK // width):
             for lane in range(width):
                 at = part * width + lane
@@ -130,55 +133,31 @@ def _load(tables: Tables, scratch: Scratch, ring: int, block: int, moving: bool)
                 room[_in_packet(width, part, _DIRECTION + axis, lane)] = (
                     (m0 + f * d0) * x + (m1 + f * d1) * y + (m2 + f * d2) * z
                 )
-    reach = tables.reach[ring, 1]
+    if sights.bend[entry] >= 0:
+        _turn_each(sights, scratch, sights.bend[entry])
     for part in range(BLOCK // width):
-        for lane in range(width):
-            room[_in_packet(width, part, _REACH, lane)] = reach
         for lane in range(width):
             word[_in_packet(width, part, _GEOMETRY, lane)] = np.uint32(INVALID)
-            word[_in_packet(width, part, _INSTANCE, lane)] = np.uint32(INVALID)
-    if moving:
-        start, change = tables.clock[0] + tables.clock[1] * np.float32(block), tables.clock[1]
-        for part in range(BLOCK // width):
-            for lane in range(width):
-                time = start + change * room[_at(_LANE, 0, part * width + lane)]
-                room[_in_packet(width, part, _TIME, lane)] = min(max(time, np.float32(0.0)), np.float32(1.0))
-
-
-@_part
-def _trace(world: World, scratch: Scratch, moving: bool) -> None:
-    """Trace the packets: the bodies first, which shortens the rays for the static world."""
-    width = len(scratch.lanes)
-    for part in range(BLOCK // width):
         packet = scratch.address + part * RAY_ROWS * width * 4
-        if moving:
-            call(world.intersect, (scratch.valid_address, world.moving, packet, world.arguments))
-        call(world.intersect, (scratch.valid_address, world.static, packet, world.arguments))
+        call(world.intersect, (scratch.valid_address, world.scene[sights.slot[entry]], packet, world.arguments))
 
 
 @_part
-def _turn_of(world: World, slot: int, time: np.float32, axis: int) -> Turn:
-    """Return one axis of a body in the static solid's frame at a time of the span."""
-    pose = world.body_pose
-    last = world.body_steps[slot] - 1
-    at = time * np.float32(last)
-    low = min(np.int64(at), last - 1)
-    f = at - np.float32(low)
-    return (
-        pose[slot, low, 0, axis] + f * (pose[slot, low + 1, 0, axis] - pose[slot, low, 0, axis]),
-        pose[slot, low, 1, axis] + f * (pose[slot, low + 1, 1, axis] - pose[slot, low, 1, axis]),
-        pose[slot, low, 2, axis] + f * (pose[slot, low + 1, 2, axis] - pose[slot, low, 2, axis]),
-    )
-
-
-@_part
-def _read(world: World, tables: Tables, scratch: Scratch, subray: int) -> np.int32:
-    """Read the hits of the packets; return the number of rays that hit."""
+def _read(world: World, tables: Tables, scratch: Scratch, slot: int, subray: int) -> np.int32:
+    """Read the hits of the packets on a solid; return their number."""
     width = len(scratch.lanes)
     room, word, number = scratch.room, scratch.word, scratch.number
     hits = np.int32(0)
     for part in range(BLOCK // width):
+        before = hits
         for lane in range(width):
+            # Embree's number for no geometry is NaN when read as float32; indices are not.
+            geometry = room[_in_packet(width, part, _GEOMETRY, lane)]
+            hits += np.int32(geometry == geometry)
+        if hits == before:
+            continue
+        for lane in range(width):
+            at = part * width + lane
             nx = room[_in_packet(width, part, _NORMAL, lane)]
             ny = room[_in_packet(width, part, _NORMAL + 1, lane)]
             nz = room[_in_packet(width, part, _NORMAL + 2, lane)]
@@ -188,55 +167,48 @@ def _read(world: World, tables: Tables, scratch: Scratch, subray: int) -> np.int
                 + nz * room[_in_packet(width, part, _DIRECTION + 2, lane)]
             )
             length = max(nx * nx + ny * ny + nz * nz, np.float32(1e-30))
-            level = np.abs(along) / np.sqrt(length)
-            room[_at(_COSINE, subray, part * width + lane)] = min(level, np.float32(1.0))
-        for lane in range(width):
-            # Embree's number for no geometry is NaN when read as float32; indices are not.
+            level = min(np.abs(along) / np.sqrt(length), np.float32(1.0))
             geometry = room[_in_packet(width, part, _GEOMETRY, lane)]
             hit = geometry == geometry
-            hits += np.int32(hit)
+            room[_at(_COSINE, subray, at)] = level if hit else room[_at(_COSINE, subray, at)]
             reached = room[_in_packet(width, part, _REACH, lane)]
-            room[_at(_DISTANCE, subray, part * width + lane)] = reached if hit else np.float32(np.inf)
+            room[_at(_DISTANCE, subray, at)] = reached if hit else room[_at(_DISTANCE, subray, at)]
         for lane in range(width):
-            number[_at(_OBJECT, subray, part * width + lane)] = STATIC
-    # Neighbouring rays meet the same body, which hardly turns while 16 columns fire.
-    turned = np.uint64(INVALID)
-    ahead, left, up = _NO_AXIS, _NO_AXIS, _NO_AXIS
-    for part in range(BLOCK // width):
-        for lane in range(width):
-            at = part * width + lane
             if word[_in_packet(width, part, _GEOMETRY, lane)] == np.uint32(INVALID):
                 continue
+            at = part * width + lane
+            number[_at(_OBJECT, subray, at)] = world.object_id[slot]
             face = np.uint64(word[_in_packet(width, part, _PRIMITIVE, lane)])
-            slot = np.uint64(word[_in_packet(width, part, _INSTANCE, lane)])
-            if slot == np.uint64(INVALID):
-                material = world.static_material[face]
-            else:
-                number[_at(_OBJECT, subray, at)] = world.body_id[slot]
-                material = world.body_material[np.uint64(world.body_offset[slot]) + face]
-                if slot != turned:
-                    turned = slot
-                    time = room[_in_packet(width, part, _TIME, lane)]
-                    ahead = _turn_of(world, slot, time, np.int64(0))
-                    left = _turn_of(world, slot, time, np.int64(1))
-                    up = _turn_of(world, slot, time, np.int64(2))
-                # Embree gives the normal in the body's own frame.
-                nx = room[_in_packet(width, part, _NORMAL, lane)]
-                ny = room[_in_packet(width, part, _NORMAL + 1, lane)]
-                nz = room[_in_packet(width, part, _NORMAL + 2, lane)]
-                along = (
-                    (nx * ahead[0] + ny * left[0] + nz * up[0]) * room[_in_packet(width, part, _DIRECTION, lane)]
-                    + (nx * ahead[1] + ny * left[1] + nz * up[1]) * room[_in_packet(width, part, _DIRECTION + 1, lane)]
-                    + (nx * ahead[2] + ny * left[2] + nz * up[2]) * room[_in_packet(width, part, _DIRECTION + 2, lane)]
-                )
-                length = max(nx * nx + ny * ny + nz * nz, np.float32(1e-30))
-                room[_at(_COSINE, subray, at)] = min(np.abs(along) / np.sqrt(length), np.float32(1.0))
+            material = world.material[np.uint64(world.offset[slot]) + face]
             scratch.material[subray, at] = material
             place = room[_at(_COSINE, subray, at)] * np.float32(COSINE_BINS)
             low = min(np.uint32(place), np.uint32(COSINE_BINS - 1))
             kind = np.uint64(material) * np.uint64(COSINE_BINS + 1) + np.uint64(low)
             weak, strong = tables.power[kind], tables.power[kind + np.uint64(1)]
             room[_at(_POWER, subray, at)] = weak + (place - np.float32(low)) * (strong - weak)
+    return hits
+
+
+@_part
+def _meet(
+    tables: Tables, world: World, sights: Sights, scratch: Scratch, ring: int, block: int, subray: int
+) -> np.int32:
+    """Trace the aimed rays of a block and read their hits; return their number, 0 when all missed.
+
+    Each solid shortens the rays for those behind it.
+    """
+    width = len(scratch.lanes)
+    room = scratch.room
+    for part in range(BLOCK // width):
+        for lane in range(width):
+            room[_in_packet(width, part, _REACH, lane)] = tables.reach[ring, 1]
+    for lane in range(BLOCK):
+        room[_at(_DISTANCE, subray, lane)] = np.float32(np.inf)
+    hits = np.int32(0)
+    for entry in range(sights.start[block], sights.start[block + 1]):
+        if sights.top[entry] <= ring < sights.bottom[entry]:
+            _trace(world, sights, scratch, entry)
+            hits += _read(world, tables, scratch, sights.slot[entry], subray)
     return hits
 
 
@@ -366,15 +338,13 @@ def _locate(tables: Tables, scratch: Scratch, ring: int, block: int, echo: int, 
                 + (m1 + f * d1) * room[_at(_AXIS, 1, lane)]
                 + (m2 + f * d2) * room[_at(_AXIS, 2, lane)]
             )
-            room[_at(_PLACE, axis, lane)] = along * room[_at(_MEASURED, echo, lane)] + (m3 + f * d3)
-    places = scratch.address + 4 * _PLACE
-    interleave(places, places + 4 * BLOCK, places + 8 * BLOCK, scratch.address + 4 * (_POINT + 3 * BLOCK * echo))
+            room[_at(_POINT, 3 * echo + axis, lane)] = along * room[_at(_MEASURED, echo, lane)] + (m3 + f * d3)
 
 
 @_part
 def _keep_returns(tables: Tables, scratch: Scratch, ring: int, block: int, echo: int) -> None:
     """Compute the intensity of the echoes of a block and which returns are kept."""
-    room = scratch.room
+    room, word = scratch.room, scratch.word
     before = np.int64(tables.start[LOST_BEFORE, ring]) + block * BLOCK
     after = np.int64(tables.start[LOST_AFTER, ring]) + block * BLOCK
     copy_row(tables.uniform.ctypes.data + 4 * before, scratch.address + 4 * _DRAW)
@@ -399,51 +369,29 @@ def _keep_returns(tables: Tables, scratch: Scratch, ring: int, block: int, echo:
             & (measured >= near)
             & (measured <= far)
         )
-        room[_at(_KEEP, echo, lane)] = np.float32(1.0) if kept else np.float32(0.0)
-    # The last block is padded with beams beyond the last column.
-    for lane in range(min(BLOCK, tables.columns - block * BLOCK), BLOCK):
-        room[_at(_KEEP, echo, lane)] = np.float32(0.0)
+        word[_at(_KEEP, echo, lane)] = np.uint32(1) if kept else np.uint32(0)
 
 
 @_part
-def _pack(scratch: Scratch, columns: Returns, row: np.uint64, block: int) -> np.uint64:
-    """Write the kept returns of a block of beams with one return each; return the next free row."""
-    first = np.int32(block * BLOCK)
-    for lane in range(BLOCK):
-        scratch.number[_at(_COLUMN, 0, lane)] = first + np.int32(lane)
-    keep = scratch.address + 4 * _KEEP
-    bits = bits_of(keep)
-    interleave(keep, keep, keep, scratch.address + 4 * _KEEP_AXES)
-    at = np.int64(row)
-    squeeze(bits, scratch.address + 4 * _INTENSITY, columns.intensity.ctypes.data + 4 * at, 4)
-    squeeze(bits, scratch.address + 4 * _COLUMN, columns.column.ctypes.data + 4 * at, 4)
-    squeeze(bits, scratch.address + 4 * _OBJECT, columns.object_id.ctypes.data + 4 * at, 4)
-    squeeze(bits, scratch.address + 4 * _COSINE, columns.cosine.ctypes.data + 4 * at, 4)
-    squeeze(bits, scratch.material.ctypes.data, columns.material.ctypes.data + at, 1)
-    target = columns.points.ctypes.data + 12 * at
-    for third in range(3):
-        kept = bits_of(scratch.address + 4 * (_KEEP_AXES + BLOCK * third))
-        squeeze(kept, scratch.address + 4 * (_POINT + BLOCK * third), target, 4)
-        target += 4 * count(kept)
-    return row + np.uint64(count(bits))
+def _pack(tables: Tables, scratch: Scratch, columns: Returns, row: np.uint64, block: int, echoes: int) -> np.uint64:
+    """Write the kept returns of a block of beams; return the next free row.
 
-
-@_loop
-def _pack_pairs(scratch: Scratch, columns: Returns, row: np.uint64, block: int) -> np.uint64:
-    """Write the kept returns of a block of beams with up to two returns each; return the next free row."""
+    Every return is written, and the next over those that are not kept: a branch would be mispredicted. There is room,
+    as the row is never beyond that of a sweep that keeps all.
+    """
     room = scratch.room
-    for lane in range(BLOCK):
-        for echo in range(2):
-            if room[_at(_KEEP, echo, lane)] > np.float32(0.0):
-                for axis in range(3):
-                    columns.points[row, axis] = room[_POINT + 3 * BLOCK * echo + 3 * lane + axis]
-                columns.intensity[row] = room[_at(_INTENSITY, echo, lane)]
-                columns.column[row] = block * BLOCK + lane
-                columns.object_id[row] = scratch.number[_at(_OBJECT, echo, lane)]
-                columns.return_number[row] = echo + 1
-                columns.material[row] = scratch.material[echo, lane]
-                columns.cosine[row] = room[_at(_COSINE, echo, lane)]
-                row += np.uint64(1)
+    # The last block is padded with beams beyond the last column.
+    for lane in range(min(BLOCK, tables.columns - block * BLOCK)):
+        for echo in range(echoes):
+            for axis in range(3):
+                columns.points[row, axis] = room[_at(_POINT, 3 * echo + axis, lane)]
+            columns.intensity[row] = room[_at(_INTENSITY, echo, lane)]
+            columns.column[row] = block * BLOCK + lane
+            columns.object_id[row] = scratch.number[_at(_OBJECT, echo, lane)]
+            columns.return_number[row] = echo + 1
+            columns.material[row] = scratch.material[echo, lane]
+            columns.cosine[row] = room[_at(_COSINE, echo, lane)]
+            row += np.uint64(scratch.word[_at(_KEEP, echo, lane)])
     return row
 
 
@@ -451,7 +399,7 @@ def _pack_pairs(scratch: Scratch, columns: Returns, row: np.uint64, block: int) 
 def sweep_rings(
     tables: Tables,
     world: World,
-    visible: NDArray[np.bool_],
+    sights: Sights,
     scratch: Scratch,
     columns: Returns,
     start: int,
@@ -461,7 +409,7 @@ def sweep_rings(
     """Write the points of rings `first` to `last` (exclusive) from row `start` on; return the row after.
 
     Args:
-        visible: (last - first, B) bool: whether the rays of a block may meet a body.
+        sights: solids that the rays of each block may meet.
         start: row of the first point.
     """
     row = np.uint64(start)
@@ -473,39 +421,32 @@ def sweep_rings(
     scratch.room[:] = np.float32(0.0)
     for part in range(BLOCK // width):
         for lane in range(width):
-            scratch.word[_in_packet(width, part, _MASK, lane)] = np.uint32(tables.mask)
+            scratch.word[_in_packet(width, part, _MASK, lane)] = np.uint32(INVALID)
     for ring in range(first, last):
         begun = row
         for lane in range(BLOCK):
             scratch.room[_at(_LANE, 0, lane)] = tables.lane[ring, lane]
-        for block in range(tables.ray_pose.shape[0]):
-            moving = world.moving != 0 and visible[ring - first, block]
+        for block in range(tables.point_pose.shape[0]):
             if subrays == 1:
                 # A branch of its own: the constant lets the compiler place every row.
                 _aim(tables, scratch, ring, block, np.int64(0))
-                _load(tables, scratch, ring, block, moving)
-                _trace(world, scratch, moving)
-                if _read(world, tables, scratch, np.int64(0)) == 0:
+                if _meet(tables, world, sights, scratch, ring, block, np.int64(0)) == 0:
                     continue
                 _detect(tables, scratch)
             else:
                 for subray in range(subrays):
                     _aim(tables, scratch, ring, block, subray)
-                    _load(tables, scratch, ring, block, moving)
-                    _trace(world, scratch, moving)
-                    _read(world, tables, scratch, subray)
+                    _meet(tables, world, sights, scratch, ring, block, subray)
                 _merge(tables, scratch, subrays, order, margins, found)
             _locate(tables, scratch, ring, block, np.int64(0), np.int64(RANGE))
             _keep_returns(tables, scratch, ring, block, np.int64(0))
             if pairs:
                 _locate(tables, scratch, ring, block, np.int64(1), np.int64(SECOND_RANGE))
                 _keep_returns(tables, scratch, ring, block, np.int64(1))
-                row = _pack_pairs(scratch, columns, row, block)
+                row = _pack(tables, scratch, columns, row, block, np.int64(2))
             else:
-                row = _pack(scratch, columns, row, block)
+                row = _pack(tables, scratch, columns, row, block, np.int64(1))
         columns.ring[begun:row] = ring
-        if not pairs:
-            columns.return_number[begun:row] = 1
         early = np.float32(0.5) * np.float32(tables.columns) - tables.share[ring]
         for done in range(begun, row):
             columns.time_offset[done] = (np.float32(columns.column[done]) - early) * tables.column_s
@@ -531,10 +472,11 @@ def close_gap(columns: Returns, row: int, start: int, end: int) -> None:
 
 @_loop
 def cast_rays(
-    world: World,
+    intersect: int,
+    arguments: int,
     scratch: Scratch,
-    scenes: tuple[int, ...],
-    counts: tuple[int, ...],
+    scenes: NDArray[np.int64],
+    counts: NDArray[np.int64],
     origins: Floats,
     directions: Floats,
     distance: Floats,
@@ -564,7 +506,7 @@ def cast_rays(
                 word[_in_packet(width, 0, 9, lane)] = np.uint32(INVALID)
                 word[_in_packet(width, 0, 11, lane)] = 0
                 word[_in_packet(width, 0, 18, lane)] = np.uint32(INVALID)
-            call(world.intersect, (scratch.valid_address, scenes[part], scratch.address, world.arguments))
+            call(intersect, (scratch.valid_address, scenes[part], scratch.address, arguments))
             for lane in range(min(width, stop - base)):
                 if word[_in_packet(width, 0, 18, lane)] == np.uint32(INVALID):
                     continue

@@ -17,10 +17,8 @@ class Tables(NamedTuple):
         subray: (S, R, B, 3, 16) float32 directions of the rays.
         lane: (R, 16) float32 firing time of each column of a block, as a share of the block.
         reach: (R, 2) float32.
-        ray_pose, ray_step: (B, 3, 4) float32 pose in the static solid's frame at the start of a block, and its change
-            until the next block.
-        point_pose, point_step: the same in the frame of the points.
-        clock: (2,) float32 body time at the start of the sweep and its change per block.
+        point_pose, point_step: (B, 3, 4) float32 pose in the frame of the points at the start of a block, and its
+            change until the next block.
         power: (M * (COSINE_BINS + 1),) float32, need, scale: see `sensors.optics.reflectance.Optics`.
         of_material: intensity depends on the surface.
         law: (7,) float32: 1 / reach of the tables, echo gate, range noise, angle noise, 1 / intensity limit and
@@ -31,18 +29,14 @@ class Tables(NamedTuple):
         share: (R,) float32 firing time of each beam, as a share of its column.
         column_s: float32 time from one column to the next, s.
         columns: C.
-        mask: ray mask.
     """
 
     axis: NDArray[np.float32]
     subray: NDArray[np.float32]
     lane: NDArray[np.float32]
     reach: NDArray[np.float32]
-    ray_pose: NDArray[np.float32]
-    ray_step: NDArray[np.float32]
     point_pose: NDArray[np.float32]
     point_step: NDArray[np.float32]
-    clock: NDArray[np.float32]
     power: NDArray[np.float32]
     need: NDArray[np.float32]
     scale: NDArray[np.float32]
@@ -55,35 +49,25 @@ class Tables(NamedTuple):
     share: NDArray[np.float32]
     column_s: np.float32
     columns: int
-    mask: int
 
 
 class World(NamedTuple):
-    """Scenes that the rays are traced through, with the materials and poses of their parts.
+    """Solids that the rays are traced through: N bodies, each in its own frame, and the static world, the last.
 
     Attributes:
         intersect, arguments: addresses of Embree's packet function and its arguments.
-        static, moving: scene handles; `moving` is 0 without bodies.
-        static_material: (F,) uint8.
-        body_material: (G,) uint8 of all bodies' faces, one solid after another.
-        body_offset: (N,) int64 where the faces of each slot's solid start.
-        body_id: (N,) int32 object ids.
-        body_size: (N, 3) float64 boxes that hold the bodies.
-        body_pose: (N, T, 3, 4) float32 poses of each slot.
-        body_steps: (N,) int64 number of instants of each slot, at most T.
+        scene: (N + 1,) int64 handles.
+        object_id: (N + 1,) int32.
+        material: (G,) uint8 of the faces, one solid after another.
+        offset: (N + 1,) int64 where the faces of each solid start.
     """
 
     intersect: int
     arguments: int
-    static: int
-    moving: int
-    static_material: NDArray[np.uint8]
-    body_material: NDArray[np.uint8]
-    body_offset: NDArray[np.int64]
-    body_id: NDArray[np.int32]
-    body_size: NDArray[np.float64]
-    body_pose: NDArray[np.float32]
-    body_steps: NDArray[np.int64]
+    scene: NDArray[np.int64]
+    object_id: NDArray[np.int32]
+    material: NDArray[np.uint8]
+    offset: NDArray[np.int64]
 
 
 class Scratch(NamedTuple):
@@ -96,9 +80,9 @@ class Scratch(NamedTuple):
         lanes: a tuple of `width` zeros: its length is part of the type, so that loops over lanes have a fixed length.
         room: (ROOM_WORDS,) float32, 64-byte aligned for Embree: 16 / width packets of (21, width), then rows of 16,
             one per sub-ray or echo: shares of the block at which columns fire, directions, distances (infinite where
-            nothing was hit), cosines, powers, object ids, and for echoes measured ranges, intensities, (16, 3) points,
-            columns, and 1 for returns that are not lost. After a block is read, the first two rows of the hits hold the
-            echoes to report.
+            nothing was hit), cosines, powers, object ids, and for echoes measured ranges, intensities, x, y and z of
+            points, and integer 1 for returns that are not lost. After a block is read, the first two rows of the hits
+            hold the echoes to report.
         word, number: the same memory as uint32 and int32.
         address: of the memory.
         valid_address: of an aligned row of int32 of -1: all rays of a packet are cast.

@@ -188,17 +188,17 @@ def test_the_kernel_is_compiled_without_a_cache_where_nothing_can_be_written(tmp
     assert result.stderr.count("each process compiles them anew") == (home == "none")
 
 
-def test_an_interrupted_move_of_the_bodies_is_done_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_sweep_is_done_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = RayScene(ground(), body_mesh=box_body, engine="fused")
     here, there = (scene.with_bodies(cars([[x, 0.0, 0.0]])) for x in (8.0, 20.0))
     expected = scan(here, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
-    move = fused.place_bodies
+    sight = fused.sight_bodies
 
     def interrupted(*args: Any) -> None:
-        move(*args)
+        sight(*args)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fused, "place_bodies", interrupted)
+    monkeypatch.setattr(fused, "sight_bodies", interrupted)
     with pytest.raises(KeyboardInterrupt):
         scan(there, get_lidar("debug-16"), SENSOR, SENSOR, 0.0, np.random.default_rng(0))
     monkeypatch.undo()
