@@ -19,6 +19,7 @@ from dsrc.models.inputs.batch import collate, pillars_of
 from dsrc.models.inputs.trained_frame import as_trained, mirrored
 from dsrc.models.layers.backbones import BACKBONES
 from dsrc.models.layers.blocks import Compressor, Decoder, double_conv, upsample
+from dsrc.models.layers.conv_norm import count_batch
 from dsrc.models.layers.encoder import PillarEncoder, Pillars
 from dsrc.models.pose_graph import aligned
 from dsrc.models.settings import ModelSettings
@@ -104,6 +105,8 @@ class Detector(nn.Module):
             pillars: clouds of all samples' agents, those of a sample consecutive and ego first.
             layout: agents of the clouds; lost tiles of their maps are zeros.
         """
+        if self.training:
+            count_batch(self)
         if self.precision == torch.float32:
             return self._forward(pillars, layout)
         with torch.autocast(pillars.points.device.type, self.precision):

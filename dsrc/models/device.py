@@ -1,9 +1,9 @@
 """Devices and threads of torch."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from typing import Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -14,11 +14,18 @@ class Movable:
 
     __slots__ = ()
 
-    def to(self, device: torch.device | str) -> Self:
-        """Move the tensors to a device."""
+    def to(self, device: torch.device | str, non_blocking: bool = False) -> Self:
+        """Move the tensors to a device; pinned ones beside what it computes, if not blocking."""
+        return self._changed(lambda part: part.to(device, non_blocking=non_blocking))
+
+    def pin_memory(self) -> Self:
+        """Move the tensors to memory that a GPU reads by itself; called by PyTorch's loaders."""
+        return self._changed(lambda part: part.pin_memory())
+
+    def _changed(self, change: Callable[[Any], Any]) -> Self:
         parts = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
-        moved = {name: part.to(device) for name, part in parts.items() if isinstance(part, Tensor | Movable)}
-        return replace(self, **moved)  # type: ignore[type-var]
+        changed = {name: change(part) for name, part in parts.items() if isinstance(part, Tensor | Movable)}
+        return replace(self, **changed)  # type: ignore[type-var]
 
 
 @contextmanager

@@ -4,7 +4,8 @@ Where the paper and its released code differ, `DistillSettings` has both: its de
 is the code. The reconstruction losses stand beside their head, in `dsrc.models.layers.reconstruction`.
 """
 
-from typing import Annotated, Literal
+from functools import cache
+from typing import Annotated, Any, Literal
 
 import msgspec
 import torch
@@ -13,6 +14,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from dsrc.models.detector import NetworkOutput
+
+_BETA = 1 / 9
 
 Weight = Annotated[float, Meta(ge=0)]
 
@@ -68,22 +71,58 @@ def detection_loss(cls: Tensor, reg: Tensor, positive: Tensor, regression: Tenso
         positive: (B, h, w, 2) bool.
         regression: (B, h, w, 14) residuals of the assigned boxes.
     """
-    logits = cls.permute(0, 2, 3, 1)
-    count = positive.flatten(1).sum(1).clamp(min=1).to(logits.dtype)
-    target = positive.to(logits.dtype)
-    probability = torch.sigmoid(logits)
-    miss = torch.where(positive, 1 - probability, probability)
-    alpha = torch.where(positive, 0.25, 0.75)
-    entropy = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
-    cls_loss = ((alpha * miss.square() * entropy).flatten(1).sum(1) / count).mean()
+    target = positive.permute(0, 3, 1, 2).to(cls.dtype)
+    count = target.flatten(1).sum(1).clamp_(min=1)[:, None, None, None]
+    return _FocalLoss.apply(cls, target, count), _BoxLoss.apply(reg, positive, regression, count)
 
-    sample, row, column, anchor = positive.nonzero(as_tuple=True)
-    found = reg.permute(0, 2, 3, 1).unflatten(-1, (2, 7))[sample, row, column, anchor]
-    wanted = regression.unflatten(-1, (2, 7))[sample, row, column, anchor]
-    error = torch.cat([found[:, :6] - wanted[:, :6], torch.sin(found[:, 6:] - wanted[:, 6:])], dim=1)
-    smooth = functional.smooth_l1_loss(error, torch.zeros_like(error), beta=1 / 9, reduction="none")
-    reg_loss = 2.0 * (smooth.sum(1) / count[sample]).sum() / len(count)
-    return cls_loss, reg_loss
+
+class _FocalLoss(torch.autograd.Function):
+    """Sigmoid focal loss of (B, 2, h, w) logits, with its gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, logits: Tensor, target: Tensor, count: Tensor) -> Tensor:
+        probability = torch.sigmoid(logits)
+        # Of a positive anchor p - 1 and 0.25, of a negative one p and 0.75.
+        miss = probability - target
+        weight = (target * -0.5).add_(0.75).div_(count * len(logits))
+        entropy = functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
+        ctx.save_for_backward(probability, miss, weight, entropy)
+        return miss.square().mul_(entropy).mul_(weight).sum()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
+        probability, miss, weight, entropy = ctx.saved_tensors
+        slope = (1 - probability).mul_(probability).mul_(2 * entropy)
+        return (miss.square().add_(slope)).mul_(miss).mul_(weight).mul_(gradients[0]), None, None
+
+
+class _BoxLoss(torch.autograd.Function):
+    """Twice the smooth L1 (beta 1/9) of the residuals of positive anchors, with its gradient.
+
+    Of all anchors, most of which count nothing: a choice of the positive ones would make the host wait for the device.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, reg: Tensor, positive: Tensor, regression: Tensor, count: Tensor) -> Tensor:
+        turn = reg.permute(0, 2, 3, 1) - regression
+        error = torch.where(_angles(reg.device), turn.sin(), turn)
+        smooth = functional.huber_loss(error, torch.zeros_like(error), reduction="none", delta=_BETA)
+        weight = positive * (2 / _BETA / len(reg) / count)
+        ctx.save_for_backward(turn, error, weight)
+        return (smooth.unflatten(-1, (2, 7)) * weight[..., None]).sum()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, None]:
+        turn, error, weight = ctx.saved_tensors
+        slope = torch.where(_angles(turn.device), turn.cos(), 1.0).mul_(error.clamp(-_BETA, _BETA))
+        slope = slope.unflatten(-1, (2, 7)).mul_((weight * gradients[0])[..., None]).flatten(-2)
+        return slope.permute(0, 3, 1, 2), None, None, None
+
+
+@cache
+def _angles(device: torch.device) -> Tensor:
+    """Return the (14,) mask of the angles among the residuals of two anchors."""
+    return torch.arange(14, device=device) % 7 == 6
 
 
 def direction_loss(direction: Tensor, positive: Tensor, regression: Tensor) -> Tensor:
@@ -120,7 +159,7 @@ def _prediction_error(student: NetworkOutput, teacher: NetworkOutput, positive: 
         positive: (B, h, w, 2) bool anchors whose residuals are compared.
         where: (B, 1, h, w) mask of the cells whose probabilities are compared.
     """
-    count = positive.flatten(1).sum(1).clamp(min=1)
+    count = positive.flatten(1).sum(1).clamp_(min=1)
     divergence = (_bernoulli_kl(teacher.cls.detach(), student.cls) * where).flatten(1).sum(1)
     error = (student.reg - teacher.reg.detach()).permute(0, 2, 3, 1).unflatten(-1, (2, 7))
     residuals = 0.5 * (error.square().mean(-1) * positive).flatten(1).sum(1)
@@ -146,26 +185,40 @@ def distillation_losses(
     """
     if settings.form == "released":
         return _released_losses(student, teacher, foreground, agents, settings)
-    masks = [functional.max_pool2d(foreground[:, None].float(), 2**k) for k in (1, 2, 3)]
+    masks = [functional.max_pool2d(foreground[:, None].float(), 2)]
+    masks += [functional.max_pool2d(masks[0], 2), functional.max_pool2d(masks[0], 4)]
     pairs = zip(student.stages, teacher.stages, masks, strict=True)
     dae = torch.stack([_relative_error(s, t, mask) for s, t, mask in pairs]).mean()
     union = torch.stack([group.amax(0) for group in masks[0].split(list(agents))])
-    whole = torch.ones_like(union)
-    daf = _relative_error(student.fused, teacher.fused, union if settings.daf_mask else whole)
+    daf = _relative_error(student.fused, teacher.fused, union if settings.daf_mask else torch.ones_like(union))
     dap = _prediction_error(student, teacher, positive, union)
     return {"dae": settings.dae * dae, "daf": settings.daf * daf, "dap": settings.dap * dap}
 
 
 def _relative_error(student: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
-    """Return the squared difference of (N, C, h, w) maps in a (N, 1, h, w) mask, relative to the teacher's square."""
-    n, row, column = mask[:, 0].nonzero(as_tuple=True)
-    wanted = teacher[n, :, row, column]
-    return _mean_square(student[n, :, row, column] - wanted) / (_mean_square(wanted) + 1e-6)
+    """Return the squared difference of (N, C, h, w) maps in a (N, 1, h, w) mask, relative to the teacher's square.
+
+    Both are means over the mask, or 0 of an empty one.
+    """
+    return _RelativeError.apply(student, teacher, mask)
 
 
-def _mean_square(x: Tensor) -> Tensor:
-    """Return the mean square; 0 of an empty tensor."""
-    return x.square().sum() / max(x.numel(), 1)
+class _RelativeError(torch.autograd.Function):
+    """`_relative_error` with its gradient, one map that both passes share."""
+
+    @staticmethod
+    def forward(ctx: Any, student: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
+        error = (student - teacher).mul_(mask)
+        square = (teacher * mask).square_().sum()
+        # A millionth is added to the teacher's mean square; the clamp is of an empty mask.
+        whole = square.add_(mask.sum(), alpha=1e-6 * student.shape[1]).clamp_(min=1e-6)
+        ctx.save_for_backward(error, whole)
+        return error.square().sum().div_(whole)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
+        error, whole = ctx.saved_tensors
+        return error * (2 * gradients[0] / whole), None, None
 
 
 def _bernoulli_kl(teacher: Tensor, student: Tensor) -> Tensor:

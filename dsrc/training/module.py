@@ -15,10 +15,15 @@ from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import Reconstruction, reconstruction_losses
+from dsrc.models.storage.deploy import deployed
+from dsrc.training.half_weights import HalfWeights
 from dsrc.training.losses import consistency_loss, detection_loss, direction_loss, distillation_losses
 from dsrc.training.recipes import Recipe
 from dsrc.training.validation import detections_of, frames_named, metrics_of, prefixed
 from sim.errors import UserError
+
+
+_CHECKED_STEPS = 16
 
 
 class TrainingAlarm(UserError):
@@ -50,9 +55,12 @@ class DetectionModule(pl.LightningModule):
         settings = detector.settings
         self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
         # In a tuple the teacher is not a submodule: it is neither saved with the student nor trained.
-        self._teacher = (teacher.eval().requires_grad_(False),) if teacher is not None else ()
+        self._teacher = () if teacher is None else (teacher.eval().requires_grad_(False),)
         if teacher is not None and recipe.distill.teacher_norms == "moving":
             teacher.train()
+        self._deployed: tuple[Detector, ...] = ()
+        self._half: dict[str, HalfWeights] = {}
+        self._unchecked: list[tuple[Tensor, str]] = []
         self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
 
@@ -61,7 +69,21 @@ class DetectionModule(pl.LightningModule):
         for teacher in self._teacher:
             teacher._apply(fn, recurse)
         super()._apply(fn, recurse)
+        self._deployed = ()
+        self._half = {}
         return self
+
+    def _taught(self, batch: Batch) -> NetworkOutput:
+        """Run the teacher; one whose norms stay has them folded into its convolutions."""
+        if self._teacher[0].training:
+            network = self._teacher[0]
+        else:
+            if not self._deployed:
+                precision = torch.bfloat16 if self.recipe.bfloat16 else torch.float32
+                self._deployed = (deployed(self._teacher[0], precision),)
+            network = self._deployed[0]
+        with torch.no_grad(), self._autocast():
+            return as_teacher(network, batch).float()
 
     def forward(self, batch: Batch) -> NetworkOutput:
         """Run the network on its clouds: a teacher's own, or the sensors'."""
@@ -70,7 +92,16 @@ class DetectionModule(pl.LightningModule):
                 return as_teacher(self.detector, batch).float()
             if batch.student is None:
                 raise ValueError("the batch was collated for another network")
-            return self.detector(batch.student, batch.layout).float()
+            return self._run("detector", batch.student, batch.layout).float()
+
+    def _run(self, name: str, *inputs: Any) -> Any:
+        """Run the detector or the reconstruction, in training with the weights of convolutions in the recipe's type."""
+        module = getattr(self, name)
+        if not (self.recipe.bfloat16 and module.training):
+            return module(*inputs)
+        if name not in self._half:
+            self._half[name] = HalfWeights(module)
+        return self._half[name](*inputs)
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.bfloat16)
@@ -89,9 +120,7 @@ class DetectionModule(pl.LightningModule):
         if self.recipe.consistency and batch.student is not None:
             losses["consistency"] = self.recipe.consistency * self._consistency(batch, output)
         if self._teacher and batch.teacher is not None and batch.foreground is not None:
-            with torch.no_grad(), self._autocast():
-                taught = as_teacher(self._teacher[0], batch).float()
-            parts = output, taught, batch.foreground, positive, batch.agents
+            parts = output, self._taught(batch), batch.foreground, positive, batch.agents
             distilled = distillation_losses(*parts, self.recipe.distill)
             losses |= {name: self._distillation_factor() * value for name, value in distilled.items()}
         if self.reconstruction is not None and batch.scene is not None:
@@ -116,27 +145,38 @@ class DetectionModule(pl.LightningModule):
         if batch.view is None or batch.targets is None:
             return clean.cls.new_zeros(())
         with self._autocast():
-            view = self.detector(batch.view, batch.layout).float()
+            view = self._run("detector", batch.view, batch.layout).float()
         return consistency_loss(view, clean, batch.targets.positive)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:
         """Return the loss of a batch.
 
         Raises:
-            TrainingAlarm: the loss is not a finite number.
+            TrainingAlarm: the loss of this or a recent batch is not a finite number.
         """
         with torch.random.fork_rng():
             # Seeded by the step: a resumed run draws the same, and each device its own.
             torch.manual_seed((self.seed << 32) + (self.global_rank << 28) + self.global_step)
             losses = self.losses(batch)
-        total = torch.stack(list(losses.values())).sum()
-        if not bool(torch.isfinite(total)):
-            values = ", ".join(f"{name} {value.item():.3g}" for name, value in losses.items())
-            where = f"epoch {self.current_epoch}, step {self.global_step}, samples {', '.join(batch.keys)}"
-            raise TrainingAlarm(f"training: loss: expected a finite number, found {values} at {where}")
+        values = torch.stack(list(losses.values()))
+        total = values.sum()
+        where = f"epoch {self.current_epoch}, step {self.global_step}, samples {', '.join(batch.keys)}"
+        self._unchecked.append((values.detach(), where))
+        if len(self._unchecked) == _CHECKED_STEPS or self.trainer.is_last_batch:
+            self._check_losses(list(losses))
         logged = {f"train/{name}": value.detach() for name, value in losses.items()} | {"train/loss": total.detach()}
         self.log_dict(logged, on_step=True, on_epoch=True, batch_size=len(batch.keys), sync_dist=True)
         return total
+
+    def _check_losses(self, names: list[str]) -> None:
+        """Look at the losses since the last look: at each step, the host would wait for the device."""
+        recent = torch.stack([values for values, _ in self._unchecked]).cpu()
+        wheres = [where for _, where in self._unchecked]
+        self._unchecked.clear()
+        for values, where in zip(recent, wheres, strict=True):
+            if not bool(torch.isfinite(values).all()):
+                found = ", ".join(f"{name} {value:.3g}" for name, value in zip(names, values.tolist(), strict=True))
+                raise TrainingAlarm(f"training: loss: expected a finite number, found {found} at {where}")
 
     def validation_step(self, batch: Batch, batch_index: int) -> None:
         """Detect in a batch and keep the result, with late fusion that of each agent."""
@@ -186,9 +226,9 @@ class DetectionModule(pl.LightningModule):
         optimizer: torch.optim.Optimizer
         if self.recipe.optimizer == "adam":
             whole, decay = list(self.parameters()), self.recipe.weight_decay
-            optimizer = torch.optim.Adam(whole, lr=self.recipe.learning_rate, eps=1e-10, weight_decay=decay)
+            optimizer = torch.optim.Adam(whole, lr=self.recipe.learning_rate, eps=1e-10, weight_decay=decay, fused=True)
         else:
-            optimizer = torch.optim.AdamW(groups, lr=self.recipe.learning_rate)
+            optimizer = torch.optim.AdamW(groups, lr=self.recipe.learning_rate, fused=True)
         steps = max(int(self.trainer.estimated_stepping_batches), 1)
         schedule = LambdaLR(optimizer, RateCurve(self.recipe, steps))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -9,9 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from dsrc.models.fusion.attention import ego_row
-from dsrc.models.fusion.base import AgentLayout, Fusion, stacked_maps
-from dsrc.models.fusion.warp import into_ego
+from dsrc.models.fusion.attention import attended
+from dsrc.models.fusion.base import AgentLayout, Fusion
 from dsrc.models.settings import ModelSettings
 
 
@@ -71,8 +70,7 @@ class Where2comm(Fusion):
 
     def fuse(self, features: Tensor, layout: AgentLayout) -> Tensor:
         """Fuse one scale."""
-        groups = [into_ego(group, layout, b) for b, group in enumerate(layout.split(features))]
-        return stacked_maps([ego_row(group) for group in groups])
+        return attended(features, layout)
 
     def smoothed(self, logits: Tensor) -> Tensor:
         """Return the (N, 1, h, w) smoothed confidence of (N, anchors, h, w) logits."""

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from dsrc.models.layers.conv_norm import ConvSequence, conv_norm
 from dsrc.models.settings import ModelSettings
 
 _SPLITS = 4
@@ -48,21 +49,21 @@ class Res2Block(nn.Module):
         self.conv3 = nn.Conv2d(width * _SPLITS, outputs, 1, bias=False)
         self.bn3 = nn.BatchNorm2d(outputs)
         self.downsample = (
-            nn.Sequential(nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs)) if first else None
+            ConvSequence(nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs)) if first else None
         )
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (N, inputs, H, W) to (N, outputs, H', W')."""
-        splits = torch.relu_(self.bn1(self.conv1(x))).chunk(_SPLITS, dim=1)
+        splits = conv_norm(x, self.conv1, self.bn1).chunk(_SPLITS, dim=1)
         results: list[Tensor] = []
         for conv, norm, split in zip(self.convs, self.bns, splits[:-1], strict=True):
             entry = split if self.first or not results else results[-1] + split
-            results.append(torch.relu(norm(conv(entry))))
+            results.append(conv_norm(entry, conv, norm))
         results.append(functional.avg_pool2d(splits[-1], 3, 2, 1) if self.first else splits[-1])
         # Every second pixel first, then the convolution: with a stride of its own, the weight gradient of a 1 x 1
         # convolution with few channels in channels-last order writes beyond its buffer (oneDNN 3.12, AVX-512).
         residual = x if self.downsample is None else self.downsample(x[:, :, ::2, ::2])
-        return torch.relu(self.bn3(self.conv3(torch.cat(results, dim=1))) + residual)
+        return conv_norm(torch.cat(results, dim=1), self.conv3, self.bn3, residual=residual)
 
 
 class Res2Net(StagedBackbone):
@@ -100,16 +101,15 @@ class BasicBlock(nn.Module):
         self.bn2 = nn.BatchNorm2d(outputs)
         changed = stride > 1 or inputs != outputs
         self.downsample = (
-            nn.Sequential(nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs)) if changed else None
+            ConvSequence(nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs)) if changed else None
         )
         self.stride = stride
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (N, inputs, H, W) to (N, outputs, H / stride, W / stride)."""
-        out = self.bn2(self.conv2(torch.relu(self.bn1(self.conv1(x)))))
         # Every second pixel first, see `Res2Block`.
         residual = x if self.downsample is None else self.downsample(x[:, :, :: self.stride, :: self.stride])
-        return torch.relu(out + residual)
+        return conv_norm(conv_norm(x, self.conv1, self.bn1), self.conv2, self.bn2, residual=residual)
 
 
 def resnet(inputs: int, channels: tuple[int, int, int], blocks: tuple[int, int, int]) -> StagedBackbone:
@@ -139,7 +139,7 @@ def plain(inputs: int, channels: tuple[int, int, int], blocks: tuple[int, int, i
         layers = [*layer(widths[k], channels[k], 2)]
         for _ in range(blocks[k]):
             layers += layer(channels[k], channels[k], 1)
-        stages.append(nn.Sequential(*layers))
+        stages.append(ConvSequence(*layers))
     return StagedBackbone(stages)
 
 

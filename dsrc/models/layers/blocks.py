@@ -5,10 +5,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from dsrc.models.layers.conv_norm import ConvSequence
+
 
 def double_conv(
     inputs: int, outputs: int, kernel: int = 3, stride: int = 1, norm_momentum: float | None = None
-) -> nn.Sequential:
+) -> ConvSequence:
     """Make two convolutions with ReLUs; the first has the kernel and the stride, the second is 3 x 3.
 
     Args:
@@ -20,12 +22,12 @@ def double_conv(
         norm = () if norm_momentum is None else (nn.BatchNorm2d(outputs, eps=1e-3, momentum=norm_momentum),)
         return convolution, *norm, nn.ReLU(inplace=True)
 
-    return nn.Sequential(*layer(inputs, kernel, stride), *layer(outputs, 3, 1))
+    return ConvSequence(*layer(inputs, kernel, stride), *layer(outputs, 3, 1))
 
 
-def upsample(inputs: int, outputs: int, stride: int, momentum: float) -> nn.Sequential:
+def upsample(inputs: int, outputs: int, stride: int, momentum: float) -> ConvSequence:
     """Make a transposed convolution to `stride` times the resolution, with batch norm and ReLU."""
-    return nn.Sequential(
+    return ConvSequence(
         nn.ConvTranspose2d(inputs, outputs, stride, stride=stride, bias=False),
         nn.BatchNorm2d(outputs, eps=1e-3, momentum=momentum),
         nn.ReLU(inplace=True),
@@ -54,8 +56,8 @@ class Compressor(nn.Module):
             ratio: channels of the map per channel sent.
         """
         super().__init__()
-        self.encode = nn.Sequential(*_conv_norm(channels, channels // ratio))
-        self.decode = nn.Sequential(*_conv_norm(channels // ratio, channels), *_conv_norm(channels, channels))
+        self.encode = ConvSequence(*_conv_norm(channels, channels // ratio))
+        self.decode = ConvSequence(*_conv_norm(channels // ratio, channels), *_conv_norm(channels, channels))
 
     def forward(self, x: Tensor) -> Tensor:
         """Compress and decompress (N, C, H, W)."""

@@ -112,7 +112,6 @@ class SlotNorm(nn.BatchNorm1d):
         momentum = float(self.momentum or 0.0)
         self.running_mean.lerp_(mean, momentum)  # type: ignore[union-attr]
         self.running_var.lerp_(variance * (n / max(n - 1, 1)), momentum)  # type: ignore[union-attr]
-        self.num_batches_tracked.add_(1)  # type: ignore[union-attr]
 
 
 def _moments(x: Tensor, zeros: int) -> tuple[Tensor, Tensor]:
@@ -159,9 +158,17 @@ class PillarEncoder(nn.Module):
     centre. Source: PointPillars, arXiv 1812.05784; eps and momentum as in the released DSRC code.
     """
 
+    cell: Tensor
+    first: Tensor
+
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.grid: GridSpec = settings.grid
+        low, cell = self.grid.range_m, self.grid.cell_m
+        # In the order of coordinates: cloud, y, x.
+        self.register_buffer("cell", torch.tensor([0.0, cell, cell]), persistent=False)
+        first = [(low[2] + low[5]) / 2, low[1] + cell / 2, low[0] + cell / 2]
+        self.register_buffer("first", torch.tensor(first), persistent=False)
         self.max_points = settings.max_points
         self.padded_slots = settings.padded_slots
         self.linear = nn.Linear(settings.point_features + 6, settings.pillar_channels, bias=False)
@@ -183,7 +190,7 @@ class PillarEncoder(nn.Module):
         weight = self.linear.weight
         scale, shift = self.norm.scale_shift(points, weight, zeros)
         # The norm is monotonic per channel: take the extreme first and normalise V rows instead of P.
-        sign = torch.where(scale < 0, -1.0, 1.0).detach()
+        sign = torch.copysign(torch.ones_like(scale), scale.detach())
         parts = points, weight * sign[:, None], pillars.pillar, n_pillars
         x_vc = (_LinearMax.apply(*parts) if torch.is_grad_enabled() else _linear_max(*parts)[1]) * sign
         x_vc = torch.addcmul(shift, x_vc, scale)
@@ -203,16 +210,7 @@ class PillarEncoder(nn.Module):
 
     def centre(self, pillars: Pillars) -> Tensor:
         """Return (V, 3) float32 centres of the pillars, m."""
-        low, cell = self.grid.range_m, self.grid.cell_m
-        coords = pillars.coords
-        return torch.stack(
-            [
-                coords[:, 2] * cell + (low[0] + cell / 2),
-                coords[:, 1] * cell + (low[1] + cell / 2),
-                torch.full((coords.shape[0],), (low[2] + low[5]) / 2, device=coords.device),
-            ],
-            dim=1,
-        ).to(pillars.points.dtype)
+        return (pillars.coords * self.cell + self.first).flip(1)
 
     def scatter(self, features: Tensor, pillars: Pillars) -> Tensor:
         """Place (V, C) features on the (N, C, H, W) grid."""

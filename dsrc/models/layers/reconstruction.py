@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from dsrc.models.device import Movable
+from dsrc.models.layers.conv_norm import ConvSequence, count_batch
 from dsrc.models.settings import ModelSettings
 
 
@@ -36,12 +37,12 @@ class Reconstruction(nn.Module):
         super().__init__()
         self.bins = settings.reconstruction_bins
         column, hidden = settings.reconstruction_channels
-        self.expand = nn.Sequential(
+        self.expand = ConvSequence(
             nn.Conv2d(settings.shrink_channels, column * (self.bins // 2), 1),
             nn.BatchNorm2d(column * (self.bins // 2)),
             nn.GELU(),
         )
-        self.generate = nn.Sequential(
+        self.generate = ConvSequence(
             nn.Conv3d(column, hidden, 1),
             nn.BatchNorm3d(hidden),
             nn.ReLU(inplace=True),
@@ -54,6 +55,7 @@ class Reconstruction(nn.Module):
 
     def forward(self, fused: Tensor) -> tuple[Tensor, Tensor]:
         """Return (B, D, H, W) occupancy logits and the (B, C, D, H, W) feature that `offsets_at` reads."""
+        count_batch(self)
         batch, _, height, width = fused.shape
         column = self.expand(fused).reshape(batch, -1, self.bins // 2, height, width)
         volume = self.generate(column)
@@ -66,25 +68,27 @@ class Reconstruction(nn.Module):
         return functional.linear(volume[b, :, z, y, x], weight, self.offset.bias)
 
 
-def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, SceneVoxels]:
+def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, Tensor, Tensor | None]:
     """Crop the fused feature and the scene to a random window.
 
     Args:
         fused: (B, C, h, w) fused feature.
         scene: its voxels, two by two to a cell of the feature.
         share: share of the feature's height and width; 1 returns both unchanged.
+
+    Returns:
+        (B, C, h', w') feature; (K, 4) places of the voxels in the window, of those outside at its edge; (K,) bool which
+        are inside, None for all. To leave out the others, the host would have to wait for the device.
     """
     if share == 1:
-        return fused, scene
+        return fused, scene.voxel, None
     sizes = [max(round(size * share), 1) for size in fused.shape[-2:]]
-    starts = [int(torch.randint(whole - size + 1, ())) for whole, size in zip(fused.shape[-2:], sizes, strict=True)]
-    (top, left), (height, width) = starts, sizes
-    shift = scene.voxel.new_tensor([0, 0, 2 * top, 2 * left])
-    voxel = scene.voxel - shift
-    y, x = voxel[:, 2], voxel[:, 3]
-    inside = (y >= 0) & (y < 2 * height) & (x >= 0) & (x < 2 * width)
-    cut = fused[..., top : top + height, left : left + width]
-    return cut, SceneVoxels(voxel[inside], scene.offset[inside], scene.samples)
+    draws = [torch.randint(whole - size + 1, ()) for whole, size in zip(fused.shape[-2:], sizes, strict=True)]
+    (top, left), (height, width) = (int(draw.numpy()) for draw in draws), sizes
+    moved = scene.voxel - scene.voxel.new_tensor([0, 0, 2 * top, 2 * left])
+    last = moved.new_tensor([2**62, 2**62, 2 * height - 1, 2 * width - 1])
+    voxel = torch.minimum(moved.clamp(min=0), last)
+    return fused[..., top : top + height, left : left + width], voxel, (voxel == moved).all(1)
 
 
 def reconstruction_losses(
@@ -99,16 +103,23 @@ def reconstruction_losses(
         fused: (B, C, h, w) fused feature of the student.
         window: share of the feature's height and width that is reconstructed, at a random place.
     """
-    fused, scene = windowed(fused, scene, window)
+    fused, voxel, inside = windowed(fused, scene, window)
     logits, volume = head(fused)
     logits = logits.float()
+    b, z, y, x = voxel.unbind(1)
+    _, depth, height, width = logits.shape
+    cell = ((b * depth + z) * height + y) * width + x
     target = torch.zeros_like(logits)
-    b, z, y, x = scene.voxel.unbind(1)
-    target[b, z, y, x] = 1.0
-    ratio = (target.numel() - len(scene.voxel)) / max(len(scene.voxel), 1)
-    weight = torch.tensor(ratio, dtype=logits.dtype, device=logits.device)
-    mask_loss = functional.binary_cross_entropy_with_logits(logits, target, pos_weight=weight)
-    error = (head.offsets_at(volume, scene.voxel).float() - scene.offset).abs()
     # An offset of exactly 0 counts as absent, as released.
     valid = scene.offset != 0
+    if inside is None:
+        count = target.new_tensor(len(cell))
+        target.view(-1).index_fill_(0, cell, 1.0)
+    else:
+        count = inside.sum().to(target.dtype)
+        target.view(-1).index_add_(0, cell, inside.to(target.dtype))
+        valid &= inside[:, None]
+    weight = (target.numel() - count) / count.clamp(min=1)
+    mask_loss = functional.binary_cross_entropy_with_logits(logits, target, pos_weight=weight)
+    error = (head.offsets_at(volume, voxel).float() - scene.offset).abs()
     return mask_loss, (error * valid).sum() / valid.sum().clamp(min=1)

@@ -102,17 +102,20 @@ def test_a_window_of_the_scene_holds_the_voxels_above_its_cells() -> None:
     scene = SceneVoxels(every, every[:, 1:].float(), 1)
     torch.manual_seed(4)
     for _ in range(20):
-        cut, part = windowed(marked, scene, 0.5)
+        cut, voxel, inside = windowed(marked, scene, 0.5)
         assert cut.shape == (1, 1, 4, 8)
-        assert len(part.voxel) == 4 * 8 * 16
+        assert inside is not None
+        assert inside.sum() == 4 * 8 * 16
         # An offset here is the voxel's old place: its cell's mark says the same.
-        z, y, x = part.voxel[:, 1:].unbind(1)
-        torch.testing.assert_close(part.offset[:, 0], z.float())
-        cell = part.offset[:, 1] // 2 * 16 + part.offset[:, 2] // 2
+        z, y, x = voxel[inside, 1:].unbind(1)
+        offset = scene.offset[inside]
+        torch.testing.assert_close(offset[:, 0], z.float())
+        cell = offset[:, 1] // 2 * 16 + offset[:, 2] // 2
         torch.testing.assert_close(cut[0, 0, y // 2, x // 2], cell)
-    whole, same = windowed(marked, scene, 1.0)
+    whole, voxel, inside = windowed(marked, scene, 1.0)
     assert whole is marked
-    assert same is scene
+    assert voxel is scene.voxel
+    assert inside is None
 
 
 def test_windows_cost_what_the_whole_scene_costs_on_average(sample: Sample) -> None:

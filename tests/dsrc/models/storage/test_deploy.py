@@ -83,6 +83,9 @@ def test_it_gives_the_same_maps_for_every_backbone(backbone: str, monkeypatch: p
         # Where there is no oneDNN.
         monkeypatch.setattr("dsrc.models.storage.deploy._ONEDNN", False)
         assert_same(fast(pillars, AgentLayout(AGENTS)), expected)
+        folded = deployed(detector)
+        assert not any(isinstance(module, FusedConv | nn.BatchNorm2d) for module in folded.modules())
+        assert_same(folded(pillars, AgentLayout(AGENTS)), expected)
 
 
 def test_a_processor_without_bfloat16_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
