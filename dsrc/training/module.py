@@ -22,7 +22,6 @@ from dsrc.training.recipes import Recipe
 from dsrc.training.validation import detections_of, frames_named, metrics_of, prefixed
 from sim.errors import UserError
 
-
 _CHECKED_STEPS = 16
 
 
@@ -55,7 +54,7 @@ class DetectionModule(pl.LightningModule):
         settings = detector.settings
         self.reconstruction = Reconstruction(settings) if settings.rec and settings.role == "student" else None
         # In a tuple the teacher is not a submodule: it is neither saved with the student nor trained.
-        self._teacher = () if teacher is None else (teacher.eval().requires_grad_(False),)
+        self._teacher: tuple[Detector, ...] = () if teacher is None else (teacher.eval().requires_grad_(False),)
         if teacher is not None and recipe.distill.teacher_norms == "moving":
             teacher.train()
         self._deployed: tuple[Detector, ...] = ()

@@ -86,7 +86,7 @@ class _Attended(torch.autograd.Function):
         gradient = weights * out + by_score * x[:, :1]
         gradient[:, 0] += (by_score * x).sum(1)
         gradient = gradient.flatten(0, 1).to(x.dtype)
-        rows, absent = _places(ctx.agents, x.device)
+        rows, _ = _places(ctx.agents, x.device)
         if rows is not None:
             # An absent agent has no weight and no gradient: what it adds to the ego's row is 0.
             whole = gradient.new_zeros((ctx.rows, *gradient.shape[1:]))

@@ -58,7 +58,7 @@ class Res2Block(nn.Module):
         results: list[Tensor] = []
         for conv, norm, split in zip(self.convs, self.bns, splits[:-1], strict=True):
             entry = split if self.first or not results else results[-1] + split
-            results.append(conv_norm(entry, conv, norm))
+            results.append(conv_norm(entry, conv, norm))  # type: ignore[arg-type]
         results.append(functional.avg_pool2d(splits[-1], 3, 2, 1) if self.first else splits[-1])
         # Every second pixel first, then the convolution: with a stride of its own, the weight gradient of a 1 x 1
         # convolution with few channels in channels-last order writes beyond its buffer (oneDNN 3.12, AVX-512).

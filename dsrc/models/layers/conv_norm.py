@@ -1,4 +1,4 @@
-"""Convolution, batch norm, shortcut and ReLU as one layer while training, with as few passes and operations as they need.
+"""Convolution, batch norm, shortcut and ReLU as one layer while training, in as few operations as they need.
 
 The numbers are those of the single layers. What goes is what PyTorch does between them: a tensor for each, kept for the
 backward pass, and two of three calls of its dispatcher, which on a GPU take longer than the small layers themselves.
@@ -49,9 +49,8 @@ class ConvSequence(nn.Sequential):
 
 def count_batch(module: nn.Module) -> None:
     """Count a batch in the norms below a module that are in training, all in one operation."""
-    counts = [
-        m.num_batches_tracked for m in module.modules() if isinstance(m, nn.modules.batchnorm._BatchNorm) and m.training
-    ]
+    norms = (m for m in module.modules() if isinstance(m, nn.modules.batchnorm._BatchNorm) and m.training)
+    counts = [norm.num_batches_tracked for norm in norms if norm.num_batches_tracked is not None]
     if counts:
         torch._foreach_add_(counts, 1)
 
@@ -86,7 +85,7 @@ class _ConvNorm(torch.autograd.Function):
         between = _aten.convolution(x, kernel, None if bias is None else bias.to(dtype), *ctx.shape)
         statistics = norm.running_mean, norm.running_var
         out, mean, deviation = torch.native_batch_norm(
-            between, scale, shift, *statistics, True, norm.momentum, norm.eps
+            between, scale, shift, *statistics, True, norm.momentum or 0.0, norm.eps
         )
         if residual is not None:
             out.add_(residual)
