@@ -163,7 +163,7 @@ def test_every_stage_of_every_method_is_timed_and_counted_once(monkeypatch: pyte
     from dsrc.training.recipes import debug
 
     monkeypatch.setattr(inference, "POINTS", 500)
-    bench = inference.Bench(debug().model, "cpu", True, float("inf"))
+    bench = inference.Bench(debug().model, "cpu", "fused", True, float("inf"))
     for agents in inference.AGENTS:
         for method in FUSIONS:
             bench.add(method, agents)
@@ -185,7 +185,7 @@ def test_the_parts_of_a_training_step_add_up_to_it(monkeypatch: pytest.MonkeyPat
     from dsrc.training.recipes import debug
 
     monkeypatch.setattr(reading, "POINTS", 2000)
-    steps = training.make_steps(debug())
+    steps = training.make_steps(debug(), "cpu")
     before = steps["dsrc"].module.detector.reg_head.weight.detach().clone()
     for step in steps.values():
         step()
