@@ -22,6 +22,7 @@ from sim.traffic.parking import parked_cars
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.input import check_signals, signals_xml, sumo_options
 from sim.traffic.sumo.lane_path import lane_path
+from sim.traffic.sumo.motion import BodyMotion
 from sim.traffic.sumo.placed import SUMO_SPEED_MODE, PlacedVehicles
 from sim.traffic.sumo.red_light import red_light_speed
 
@@ -34,11 +35,6 @@ FIRST_ID = 1000
 # out too: without the safe speed it brakes at 14 m/s2.
 _OWN_SPEED_MODE = 2 | 32
 
-# A body turns as if trailing wheels followed its front bumper without slip, at this share of its length behind it: SUMO
-# itself turns it with the corners of its lane. The middle of the box would turn too fast, the rear axle would swing the
-# front out.
-_TRAIL, _LEAST_TRAIL_M = 0.65, 1.8
-
 _LIGHT_STATES: dict[str, Literal["red", "red and yellow", "yellow", "green"]] = {
     "r": "red", "u": "red and yellow", "y": "yellow", "Y": "yellow", "g": "green", "G": "green",
 }  # fmt: skip
@@ -46,18 +42,15 @@ _LIGHT_STATES: dict[str, Literal["red", "red and yellow", "yellow", "green"]] = 
 _running = threading.Lock()
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _RoadUser:
-    """Constant properties of a road user, and its state one step ago."""
+    """Constant properties of a road user."""
 
     object_id: int
     name: str
     kind: VehicleType
     model: str
     is_person: bool
-    trail: NDArray[np.float64] | None = None
-    last_xy: NDArray[np.float64] | None = None
-    last_velocity: NDArray[np.float64] | None = None
 
 
 class SumoTraffic(DrivableTraffic):
@@ -79,6 +72,7 @@ class SumoTraffic(DrivableTraffic):
         self._seed = seed
         self._placed = PlacedVehicles()
         self._users: dict[str, _RoadUser] = {}
+        self._motion = BodyMotion(scenario.step_s)
         self._commanded: dict[str, float] = {}
         self._actors: Actors | None = None
         self._open = False
@@ -248,7 +242,7 @@ class SumoTraffic(DrivableTraffic):
             self._sumo.vehicle.setSpeed(name, max(min(speed_mps, limit_mps), least_mps, 0.0))
         placed = self._placed.move(self._sumo)
         for name in placed:
-            self._users[name].trail = None  # its heading is the given one
+            self._motion.lift(self._users[name].object_id - FIRST_ID)
         if (placed or self._placed.yielding) and self._actors is not None:
             drivers = self._undriven(self._actors)
             self._placed.slow_others(self._sumo, self._actors, drivers, self.route, self.limits, self.step_s)
@@ -281,19 +275,22 @@ class SumoTraffic(DrivableTraffic):
         users.sort(key=lambda user: user.object_id)
         rows, lanes = [], []
         for user in users:
-            domain = person if user.is_person else vehicle
-            x, y, z = domain.getPosition3D(user.name)
-            signals = 0 if user.is_person else vehicle.getSignals(user.name)
-            angle = _follow(user, np.array([x, y]), domain.getAngle(user.name))
-            rows.append((x, y, z, angle, domain.getSlope(user.name), signals))
-            lanes.append(domain.getLaneID(user.name))
+            domain, name = (person, user.name) if user.is_person else (vehicle, user.name)
+            signals = 0 if user.is_person else vehicle.getSignals(name)
+            rows.append((*domain.getPosition3D(name), domain.getAngle(name), domain.getSlope(name), signals))
+            lanes.append(domain.getLaneID(name))
         table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+        object_id = np.array([user.object_id for user in users], dtype=np.int64)
         size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
         # SUMO's reference is the front bumper of a vehicle but the middle of a person.
         reference = np.array([0.0 if user.is_person else user.kind.size[0] for user in users], dtype=np.float64)
+        self._motion.make_room(len(self._users))
+        trails = np.flatnonzero([not user.is_person for user in users])
+        table[trails, 3] = self._motion.follow(
+            object_id[trails] - FIRST_ID, table[trails, :2], table[trails, 3], size[trails, 0]
+        )
         base, yaw, pitch = center_from_sumo(table[:, :3], table[:, 3], table[:, 4], reference)
-        velocity = self._velocities(users, base, yaw)
-        acceleration = self._accelerations(users, velocity)
+        velocity, acceleration = self._velocities(users, object_id - FIRST_ID, base[:, :2], yaw)
         center = base + np.array([0.0, 0.0, 0.5]) * size
         moving = Actors(
             time_s=round(self._sumo.simulation.getTime(), 6),
@@ -302,7 +299,7 @@ class SumoTraffic(DrivableTraffic):
                 size=size,
                 yaw=yaw,
                 label=np.array([user.kind.label_index for user in users], dtype=np.int64),
-                object_id=np.array([user.object_id for user in users], dtype=np.int64),
+                object_id=object_id,
             ),
             pitch=pitch,
             velocity=velocity,
@@ -315,44 +312,12 @@ class SumoTraffic(DrivableTraffic):
         return self._parked.joined(moving) if len(self._parked) else moving
 
     def _velocities(
-        self, users: list[_RoadUser], base: NDArray[np.float64], yaw: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return (N, 2) velocities, m/s, from the last step's centres, or from speed and heading in the first step."""
-        velocity = np.zeros((len(users), 2))
-        for row, user in enumerate(users):
-            if user.last_xy is not None:
-                velocity[row] = (base[row, :2] - user.last_xy) / self.step_s
-            else:
-                domain = self._sumo.person if user.is_person else self._sumo.vehicle
-                velocity[row] = domain.getSpeed(user.name) * np.array([np.cos(yaw[row]), np.sin(yaw[row])])
-            user.last_xy = base[row, :2].copy()
-        return velocity
-
-    def _accelerations(self, users: list[_RoadUser], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (N, 2) accelerations, m/s2, from the last step's velocities; zero in the first step."""
-        acceleration = np.zeros_like(velocity)
-        for row, user in enumerate(users):
-            if user.last_velocity is not None:
-                acceleration[row] = (velocity[row] - user.last_velocity) / self.step_s
-            user.last_velocity = velocity[row].copy()
-        return acceleration
-
-
-def _follow(user: _RoadUser, front: NDArray[np.float64], angle_deg: float) -> float:
-    """Move the trailing wheels of a vehicle and return its heading, in SUMO's degrees.
-
-    Args:
-        user: road user, whose `trail` is updated.
-        front: (2,) front bumper, m.
-        angle_deg: SUMO's heading, used in the first step.
-    """
-    if user.is_person:
-        return angle_deg
-    reach = max(_TRAIL * user.kind.size[0], _LEAST_TRAIL_M)
-    if user.trail is None:
-        yaw = np.radians(90.0 - angle_deg)
-        along = np.array([np.cos(yaw), np.sin(yaw)])
-    else:
-        along = (front - user.trail) / np.linalg.norm(front - user.trail)
-    user.trail = front - reach * along
-    return float(90.0 - np.degrees(np.arctan2(along[1], along[0])))
+        self, users: list[_RoadUser], numbers: NDArray[np.int64], xy: NDArray[np.float64], yaw: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return (N, 2) velocities, m/s, of the first step by speed and heading, and accelerations, m/s2."""
+        speed = np.zeros(len(users))
+        for row in np.flatnonzero(self._motion.is_new(numbers)):
+            domain = self._sumo.person if users[row].is_person else self._sumo.vehicle
+            speed[row] = domain.getSpeed(users[row].name)
+        first = speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+        return self._motion.velocities(numbers, xy, first)
