@@ -29,6 +29,7 @@ import tyro
 from msgspec.structs import replace
 from rich.console import Console
 from torch import nn
+from torch.autograd import DeviceType
 from torch.profiler import ProfilerActivity, profile
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -150,7 +151,8 @@ class Step:
             whole = time.perf_counter() - start
         if trace is not None:
             profiler.export_chrome_trace(str(trace))
-        return 1e-6 * sum(event.self_device_time_total for event in profiler.key_averages()) / whole
+        kernels = (event for event in profiler.events() if event.device_type == DeviceType.CUDA)
+        return 1e-6 * sum(event.time_range.elapsed_us() for event in kernels) / whole
 
     def shares(self) -> dict[str, float]:
         """Return the share of each part in a step."""

@@ -22,8 +22,9 @@ def keep_memory(limit: int = 1 << 30) -> None:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):
         return
-    mallopt(mmap_threshold, limit)
-    mallopt(trim_threshold, limit)
+    # Versions that refuse so much take 32 MB at most; then nothing is changed.
+    if mallopt(mmap_threshold, limit):
+        mallopt(trim_threshold, limit)
 
 
 def installed_versions(names: Sequence[str]) -> dict[str, str]:

@@ -68,10 +68,11 @@ def _rounded(x: Tensor) -> Tensor:
 
 def emulated(detector: Detector) -> Detector:
     """Copy a detector for inference with the arithmetic of engine `bf16`, on any processor."""
-    found = deployed(detector, torch.bfloat16)
+    found = deployed(detector)
+    found.precision = torch.bfloat16
     for layer in found.modules():
         if isinstance(layer, FusedConv):
-            layer.float().__class__ = _EmulatedConv
+            layer.to(torch.bfloat16).float().__class__ = _EmulatedConv
         elif isinstance(layer, nn.Conv2d):
             layer.to(torch.bfloat16).float().__class__ = _EmulatedHead
     return found

@@ -14,9 +14,9 @@ from dsrc.evaluation.metrics.ap import FrameResult
 from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.layers.encoder import Pillars
+from dsrc.models.layers.half_weights import HalfWeights
 from dsrc.models.layers.reconstruction import Reconstruction, reconstruction_losses
 from dsrc.models.storage.deploy import deployed
-from dsrc.training.half_weights import HalfWeights
 from dsrc.training.losses import consistency_loss, detection_loss, direction_loss, distillation_losses
 from dsrc.training.recipes import Recipe
 from dsrc.training.validation import detections_of, frames_named, metrics_of, prefixed
@@ -59,7 +59,7 @@ class DetectionModule(pl.LightningModule):
             teacher.train()
         self._deployed: tuple[Detector, ...] = ()
         self._half: dict[str, HalfWeights] = {}
-        self._unchecked: list[tuple[Tensor, str]] = []
+        self._unchecked: list[tuple[tuple[str, ...], Tensor, str]] = []
         self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
 
@@ -160,22 +160,22 @@ class DetectionModule(pl.LightningModule):
         values = torch.stack(list(losses.values()))
         total = values.sum()
         where = f"epoch {self.current_epoch}, step {self.global_step}, samples {', '.join(batch.keys)}"
-        self._unchecked.append((values.detach(), where))
+        self._unchecked.append((tuple(losses), values.detach(), where))
         if len(self._unchecked) == _CHECKED_STEPS or self.trainer.is_last_batch:
-            self._check_losses(list(losses))
+            self._check_losses()
         logged = {f"train/{name}": value.detach() for name, value in losses.items()} | {"train/loss": total.detach()}
         self.log_dict(logged, on_step=True, on_epoch=True, batch_size=len(batch.keys), sync_dist=True)
         return total
 
-    def _check_losses(self, names: list[str]) -> None:
+    def _check_losses(self) -> None:
         """Look at the losses since the last look: at each step, the host would wait for the device."""
-        recent = torch.stack([values for values, _ in self._unchecked]).cpu()
-        wheres = [where for _, where in self._unchecked]
-        self._unchecked.clear()
-        for values, where in zip(recent, wheres, strict=True):
-            if not bool(torch.isfinite(values).all()):
-                found = ", ".join(f"{name} {value:.3g}" for name, value in zip(names, values.tolist(), strict=True))
-                raise TrainingAlarm(f"training: loss: expected a finite number, found {found} at {where}")
+        recent, self._unchecked = self._unchecked, []
+        found = torch.cat([values for _, values, _ in recent]).tolist()
+        for names, _, where in recent:
+            values, found = found[: len(names)], found[len(names) :]
+            if not all(map(math.isfinite, values)):
+                told = ", ".join(f"{name} {value:.3g}" for name, value in zip(names, values, strict=True))
+                raise TrainingAlarm(f"training: loss: expected a finite number, found {told} at {where}")
 
     def validation_step(self, batch: Batch, batch_index: int) -> None:
         """Detect in a batch and keep the result, with late fusion that of each agent."""

@@ -20,6 +20,7 @@ Paths are relative to the file, or else to the current folder.
 """
 
 import dataclasses
+import logging
 import math
 from collections.abc import Iterator
 from difflib import get_close_matches
@@ -57,6 +58,7 @@ from sim.radio import IDEAL, Radio, get_channel
 from sim.scenario import Scenario
 from sim.settings import convert, read_tables, read_toml
 
+LOG = logging.getLogger(__name__)
 CONTROLS = ("no_occluder", "no_conflict")
 COMPUTED_BY = "dsrc.closed_loop.campaign.episode"
 """Module whose sources and imports are hashed into the keys of episodes."""
@@ -199,6 +201,8 @@ def with_engine(plan: Campaign) -> Campaign:
     from dsrc.models.storage.deploy import engine_for  # torch takes seconds to import
 
     found = {engine_for(path) for path in sorted(paths)}
+    if len(found) > 1:
+        LOG.info("engine fused for all detectors of the campaign, so that they compare")
     return replace(plan, engine=found.pop() if len(found) == 1 else "fused")
 
 

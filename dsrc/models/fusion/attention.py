@@ -1,6 +1,6 @@
 """Attention fusion: each cell of the ego attends to the same cell of every agent."""
 
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -50,7 +50,7 @@ def _attend(features: Tensor, agents: tuple[int, ...]) -> tuple[Tensor, Tensor, 
     return (weights * x).sum(1).permute(0, 3, 1, 2), x, weights
 
 
-@cache
+@lru_cache(maxsize=256)
 def _places(agents: tuple[int, ...], device: torch.device) -> tuple[Tensor | None, Tensor | None]:
     """Return the (B L,) rows of the samples' agents, and (B, L, 1, 1, 1) which are absent, for samples that differ.
 
@@ -64,7 +64,12 @@ def _places(agents: tuple[int, ...], device: torch.device) -> tuple[Tensor | Non
         rows += [start + agent if agent < count else start for agent in range(most)]
         start += count
     absent = torch.arange(most) >= torch.tensor(agents)[:, None]
-    return torch.tensor(rows, device=device), absent.to(device)[:, :, None, None, None]
+    tensors = torch.tensor(rows), absent[:, :, None, None, None]
+    if device.type == "cuda":  # from pinned memory, or the host would wait for the device
+        return tensors[0].pin_memory().to(device, non_blocking=True), tensors[1].pin_memory().to(
+            device, non_blocking=True
+        )
+    return tensors[0].to(device), tensors[1].to(device)
 
 
 class _Attended(torch.autograd.Function):

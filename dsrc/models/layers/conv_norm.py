@@ -21,7 +21,7 @@ def conv_norm(x: Tensor, conv: Conv, norm: Norm, relu: bool = True, residual: Te
         x: (N, C, ...) maps.
         residual: a map of the output's shape; None for none.
     """
-    if norm.training:
+    if norm.training and norm.momentum is not None:
         return _ConvNorm.apply(x, conv.weight, conv.bias, norm.weight, norm.bias, residual, conv, norm, relu)
     out = norm(conv(x))
     if residual is not None:
@@ -50,7 +50,7 @@ class ConvSequence(nn.Sequential):
 def count_batch(module: nn.Module) -> None:
     """Count a batch in the norms below a module that are in training, all in one operation."""
     norms = (m for m in module.modules() if isinstance(m, nn.modules.batchnorm._BatchNorm) and m.training)
-    counts = [norm.num_batches_tracked for norm in norms if norm.num_batches_tracked is not None]
+    counts = [n.num_batches_tracked for n in norms if n.num_batches_tracked is not None and n.momentum is not None]
     if counts:
         torch._foreach_add_(counts, 1)
 
@@ -84,9 +84,8 @@ class _ConvNorm(torch.autograd.Function):
         )
         between = _aten.convolution(x, kernel, None if bias is None else bias.to(dtype), *ctx.shape)
         statistics = norm.running_mean, norm.running_var
-        out, mean, deviation = torch.native_batch_norm(
-            between, scale, shift, *statistics, True, norm.momentum or 0.0, norm.eps
-        )
+        momentum: Any = norm.momentum  # None is left to the layers themselves
+        out, mean, deviation = torch.native_batch_norm(between, scale, shift, *statistics, True, momentum, norm.eps)
         if residual is not None:
             out.add_(residual)
         if relu:

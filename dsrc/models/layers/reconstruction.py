@@ -85,10 +85,11 @@ def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, T
     sizes = [max(round(size * share), 1) for size in fused.shape[-2:]]
     draws = [torch.randint(whole - size + 1, ()) for whole, size in zip(fused.shape[-2:], sizes, strict=True)]
     (top, left), (height, width) = (int(draw.numpy()) for draw in draws), sizes
-    moved = scene.voxel - scene.voxel.new_tensor([0, 0, 2 * top, 2 * left])
-    last = moved.new_tensor([2**62, 2**62, 2 * height - 1, 2 * width - 1])
-    voxel = torch.minimum(moved.clamp(min=0), last)
-    return fused[..., top : top + height, left : left + width], voxel, (voxel == moved).all(1)
+    b, z, y, x = scene.voxel.unbind(1)
+    y, x = y - 2 * top, x - 2 * left
+    near_y, near_x = y.clamp(0, 2 * height - 1), x.clamp(0, 2 * width - 1)
+    cut = fused[..., top : top + height, left : left + width]
+    return cut, torch.stack([b, z, near_y, near_x], dim=1), (near_y == y) & (near_x == x)
 
 
 def reconstruction_losses(
@@ -113,7 +114,7 @@ def reconstruction_losses(
     # An offset of exactly 0 counts as absent, as released.
     valid = scene.offset != 0
     if inside is None:
-        count = target.new_tensor(len(cell))
+        count = torch.full((), float(len(cell)), device=target.device)
         target.view(-1).index_fill_(0, cell, 1.0)
     else:
         count = inside.sum().to(target.dtype)

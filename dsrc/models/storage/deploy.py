@@ -105,7 +105,7 @@ ENGINES: dict[str, Callable[[Detector], Detector]] = {
 """Ways to run a detector, by name."""
 
 
-def engine_for(path: Path, engine: str = AUTO, device: str = "cpu") -> str:
+def engine_for(path: Path | str, engine: str = AUTO, device: str = "cpu") -> str:
     """Return the name of the engine that runs a detector file: the one that is asked for, or the choice of `auto`.
 
     `auto` is `bf16` on a CPU that computes it, with a detector that is as good in it, else `fused`. Keys, logs and
@@ -122,16 +122,16 @@ def engine_for(path: Path, engine: str = AUTO, device: str = "cpu") -> str:
         chosen, why = "fused", f"the device is {device}"
     elif not BFLOAT16:
         chosen, why = "fused", "the processor has no bfloat16"
-    elif path.is_file() and file_sha256(path) in FLOAT32_ONLY:
+    elif Path(path).is_file() and file_sha256(Path(path)) in FLOAT32_ONLY:
         chosen, why = "fused", "the detector has failed the gate of bfloat16"
     else:
         chosen, why = "bf16", "the processor computes bfloat16"
-    _tell(path, chosen, why)
+    _tell(str(path), chosen, why)
     return chosen
 
 
 @cache
-def _tell(path: Path, engine: str, why: str) -> None:
+def _tell(path: str, engine: str, why: str) -> None:
     """Log a choice, once in a process."""
     LOG.info("engine %s, since %s: %s", engine, why, path)
 

@@ -16,8 +16,8 @@ from dsrc.data.sample import make_sample
 from dsrc.models.detector import Detector
 from dsrc.models.fusion.attention import attended
 from dsrc.models.fusion.base import AgentLayout
+from dsrc.models.layers.half_weights import HalfWeights
 from dsrc.training.datamodule import Collate
-from dsrc.training.half_weights import HalfWeights
 from dsrc.training.losses import _relative_error, detection_loss
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import of_method, small

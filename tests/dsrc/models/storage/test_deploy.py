@@ -101,7 +101,7 @@ def test_auto_is_bfloat16_where_the_processor_computes_it(
     weights.write_bytes(b"weights")
     caplog.set_level(logging.INFO, "dsrc.models.storage.deploy")
     monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", True)
-    assert engine_for(weights) == "bf16" and engine_for(weights, device="cuda") == "fused"
+    assert engine_for(weights) == engine_for(str(weights)) == "bf16" and engine_for(weights, device="cuda") == "fused"
     monkeypatch.setattr("dsrc.models.storage.deploy.FLOAT32_ONLY", frozenset({file_sha256(weights)}))
     assert engine_for(weights) == "fused"
     monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", False)
