@@ -12,6 +12,7 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from dsrc.evaluation.metrics.ap import FrameResult
 from dsrc.models.detector import Detector, NetworkOutput
+from dsrc.models.fusion import AgentLayout
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.half_weights import HalfWeights
@@ -23,6 +24,7 @@ from dsrc.training.validation import detections_of, frames_named, metrics_of, pr
 from sim.errors import UserError
 
 _CHECKED_STEPS = 16
+"""Steps after which the losses are looked at."""
 
 
 class TrainingAlarm(UserError):
@@ -58,7 +60,7 @@ class DetectionModule(pl.LightningModule):
         if teacher is not None and recipe.distill.teacher_norms == "moving":
             teacher.train()
         self._deployed: tuple[Detector, ...] = ()
-        self._half: dict[str, HalfWeights] = {}
+        self._half: tuple[HalfWeights, ...] = ()
         self._unchecked: list[tuple[tuple[str, ...], Tensor, str]] = []
         self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
@@ -69,7 +71,7 @@ class DetectionModule(pl.LightningModule):
             teacher._apply(fn, recurse)
         super()._apply(fn, recurse)
         self._deployed = ()
-        self._half = {}
+        self._half = ()
         return self
 
     def _taught(self, batch: Batch) -> NetworkOutput:
@@ -91,16 +93,15 @@ class DetectionModule(pl.LightningModule):
                 return as_teacher(self.detector, batch).float()
             if batch.student is None:
                 raise ValueError("the batch was collated for another network")
-            return self._run("detector", batch.student, batch.layout).float()
+            return self._student(batch.student, batch.layout)
 
-    def _run(self, name: str, *inputs: Any) -> Any:
-        """Run the detector or the reconstruction, in training with the weights of convolutions in the recipe's type."""
-        module = getattr(self, name)
-        if not (self.recipe.bfloat16 and module.training):
-            return module(*inputs)
-        if name not in self._half:
-            self._half[name] = HalfWeights(module)
-        return self._half[name](*inputs)
+    def _student(self, pillars: Pillars, layout: AgentLayout) -> NetworkOutput:
+        """Run the detector on its clouds, in training with the weights of its convolutions in the recipe's type."""
+        if not (self.recipe.bfloat16 and self.detector.training):
+            return self.detector(pillars, layout).float()
+        if not self._half:
+            self._half = (HalfWeights(self.detector),)
+        return self._half[0](pillars, layout).float()
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.bfloat16)
@@ -144,7 +145,7 @@ class DetectionModule(pl.LightningModule):
         if batch.view is None or batch.targets is None:
             return clean.cls.new_zeros(())
         with self._autocast():
-            view = self._run("detector", batch.view, batch.layout).float()
+            view = self._student(batch.view, batch.layout)
         return consistency_loss(view, clean, batch.targets.positive)
 
     def training_step(self, batch: Batch, batch_index: int) -> Tensor:

@@ -365,7 +365,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
     )
     used: dict[str, Any] = {
         "channel": (radios or (IDEAL if asked else settings.channel,))[0],
-        # The same eyes again are the same engine.
+        # A perception that is driven again keeps its engine.
         "engine": options.engine if asked or options.engine != "auto" else settings.engine,
     }
     perception = open_perception(

@@ -1,7 +1,7 @@
 """Convolution, batch norm, shortcut and ReLU as one layer while training, in as few operations as they need.
 
-The numbers are those of the single layers. What goes is what PyTorch does between them: a tensor for each, kept for the
-backward pass, and two of three calls of its dispatcher, which on a GPU take longer than the small layers themselves.
+The numbers are those of the single layers. What goes is what PyTorch does between them: maps of their own, counters and
+records for the backward pass, each of them an operation that the host has to dispatch.
 """
 
 from typing import Any

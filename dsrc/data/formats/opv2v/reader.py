@@ -67,7 +67,7 @@ def clouds_of(drive: Path, protocol: dict) -> Clouds:
 def with_clouds(own: dict, clouds: Clouds) -> dict:
     """Return settings of a drive with another form of the clouds; PCD is what settings without one mean."""
     kept = {name: value for name, value in own.items() if name != "clouds"}
-    return kept if clouds == "pcd" else {**kept, "clouds": clouds}
+    return kept if clouds == "pcd" else {"clouds": clouds, **kept}
 
 
 def agent_table(frame: Frame) -> dict[int, dict]:
