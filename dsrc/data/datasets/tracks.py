@@ -82,7 +82,7 @@ def _world(recording: Recording) -> trimesh.Trimesh:
     field = shapely.box(*low, *high)
     if not recording.lanes:
         return to_mesh(carpet(field, _level(ground_m), 0.0, "asphalt"))
-    road = shapely.union_all(shapely.make_valid(shapely.polygons(recording.lanes)))
+    road = shapely.union_all([shapely.make_valid(shapely.Polygon(outline)) for outline in recording.lanes])
     return to_mesh(
         join(
             [

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sim.errors import DataError, complaint
 from sim.packed import read_arrays
-from sim.traffic.tracks.base import Recording, Track, class_of, make_track
+from sim.traffic.tracks.base import Recording, Track, check_radians, class_of, make_track
 
 SHAPES = {
     "time": "T",
@@ -57,11 +57,8 @@ def read_track_arrays(path: Path) -> Recording:
         place = arrays["position"][row, there].astype(np.float64)
         center = np.column_stack([place, np.full(len(place), np.nan)])[:, :3]
         time_s, yaw = arrays["time"][there].astype(np.float64), arrays["heading"][row, there].astype(np.float64)
+        check_radians(path, f"heading[{row}]", yaw)
         tracks.append(make_track(path, _text(arrays["id"][row]), class_name, size, time_s, center, yaw))
-    names = [one.name for one in tracks]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise DataError(complaint(path, "id", "ids that differ", twice))
     return Recording(tuple(tracks))
 
 

@@ -26,6 +26,13 @@ LONGEST_M = 100.0
 FARTHEST_M = 1e7
 FIRST_ID = 1000
 
+_TURN_RAD = math.tau + 1e-3
+"""Largest heading of a file in radians: a whole turn, rounded up."""
+_ASKEW_RAD = math.radians(30.0)
+"""Angle between the axis and the way of a vehicle that no slip explains: in tight bends it is up to 20 degrees."""
+_STRIDE_M = 1.0
+"""Way over which the direction of a motion is taken, m."""
+
 _HEIGHT_M = {"car": 1.5, "van": 2.1, "truck": 3.4, "bus": 3.2, "motorcycle": 1.5, "bicycle": 1.7, "pedestrian": 1.75}
 _LONG_M = 6.5
 """Length from which on a vehicle without a closer class is a truck, m."""
@@ -112,6 +119,54 @@ def class_of(path: Path, field: str, text: str, length_m: float) -> str | None:
     if name not in CLASSES:
         raise DataError(complaint(path, field, "a class of road user", text, did_you_mean(name, [*CLASSES, *_NAMES])))
     return name
+
+
+def check_radians(path: Path, field: str, yaw: NDArray[np.float64]) -> None:
+    """Raise DataError for a heading beyond a whole turn, which is in degrees; NaN passes."""
+    beyond = yaw[np.abs(yaw) > _TURN_RAD]
+    if len(beyond):
+        raise DataError(complaint(path, field, "radians within 2 pi", f"{beyond[0]:g}", "; is it in degrees?"))
+
+
+def check_tracks(path: Path, recording: Recording) -> None:
+    """Check the tracks of a file together; headings that disagree with the motion are logged as a warning.
+
+    Raises:
+        DataError: a name is there twice.
+    """
+    names = [one.name for one in recording.tracks]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise DataError(complaint(path, "id", "ids that differ", twice))
+    turns = [(one.name, turn) for one in recording.tracks if (turn := _askew_rad(one)) is not None]
+    askew = [(name, turn) for name, turn in turns if turn > _ASKEW_RAD]
+    if askew:
+        name, turn = askew[0]
+        _log.warning(
+            "%s: the headings of %d of %d moving vehicles disagree with their motion, such as object '%s' by %.0f "
+            "degrees: expected radians, counter-clockwise from +x",
+            path,
+            len(askew),
+            len(turns),
+            name,
+            math.degrees(turn),
+        )
+
+
+def _askew_rad(one: Track) -> float | None:
+    """Return the median angle between the axis of a vehicle and its way; None for one that hardly moves, or walks."""
+    if one.class_name == "pedestrian" or len(one.time_s) < 2:
+        return None
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(one.center[:, :2], axis=0).T))])
+    marks = np.flatnonzero(np.diff(np.floor(way_m / _STRIDE_M), prepend=-1.0))
+    strides = np.diff(one.center[marks, :2], axis=0)
+    went = np.hypot(*strides.T) > 0.5 * _STRIDE_M  # jitter of one that stands goes nowhere
+    if went.sum() < 2:
+        return None
+    middle = (marks[:-1] + marks[1:]) // 2
+    turn = np.arctan2(strides[:, 1], strides[:, 0]) - one.yaw[middle]
+    # Of the axis: backwards is a motion too.
+    return float(np.median(np.abs(np.arctan(np.tan(turn[went])))))
 
 
 def make_track(

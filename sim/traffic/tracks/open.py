@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sim.errors import DataError, complaint
 from sim.traffic.tracks.arrays import read_track_arrays
-from sim.traffic.tracks.base import Recording
+from sim.traffic.tracks.base import Recording, check_tracks
 from sim.traffic.tracks.commonroad import read_commonroad
 from sim.traffic.tracks.table import read_table
 
@@ -26,4 +26,6 @@ def read_tracks(path: Path) -> Recording:
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise DataError(complaint(path, "tracks", f"a file that ends with {', '.join(READERS)}", path.suffix or "none"))
-    return reader(path)
+    recording = reader(path)
+    check_tracks(path, recording)
+    return recording

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.errors import DataError, complaint
 from sim.reading import parsing, read_text
-from sim.traffic.tracks.base import Recording, Track, class_of, make_track
+from sim.traffic.tracks.base import Recording, Track, check_radians, class_of, make_track
 
 NEEDED = ("time", "id", "x", "y", "yaw", "length", "width", "class")
 NUMBERS = ("time", "x", "y", "yaw", "length", "width")
@@ -56,6 +56,7 @@ def _recording(path: Path, text: str) -> Recording:
     for name, listed in samples.items():
         time_s, x, y, yaw, length, width, z, height = np.array(listed, np.float64).T
         size = [float(np.median(length)), float(np.median(width)), float(np.median(height))]
+        check_radians(path, f"object '{name}': yaw", yaw)
         class_name = class_of(path, f"line {classes[name][1]}, class", classes[name][0], size[0])
         if class_name is not None:
             tracks.append(make_track(path, name, class_name, size, time_s, np.column_stack([x, y, z]), yaw))

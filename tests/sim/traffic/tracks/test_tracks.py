@@ -127,11 +127,50 @@ def test_heights_are_kept_and_the_ground_is_where_they_stand(tmp_path: Path) -> 
     np.testing.assert_array_equal(to_log(path, recording)[3].boxes.center[:, 2], [101.0, 101.0])
 
 
+def turning(way_yaw: float, yaw: float, speed: float = 8.0) -> str:
+    rows = [
+        f"{0.1 * k},7,{0.1 * k * speed * np.cos(way_yaw)},{0.1 * k * speed * np.sin(way_yaw)},{yaw},4,2,car"
+        for k in range(20)
+    ]
+    return HEADER + "\n".join(rows)
+
+
+@pytest.mark.parametrize(
+    ("way", "yaw", "speed", "warned"),
+    [
+        (0.7, 0.75, 8.0, False),
+        (0.7, 0.7 - np.pi, 8.0, False),  # it drives backwards
+        (0.7, np.pi / 2 - 0.7 + 2.0, 8.0, True),
+        (0.0, np.pi / 2, 8.0, True),  # a compass's north
+        (0.0, np.pi / 2, 0.05, False),  # it stands
+    ],
+)
+def test_a_heading_across_the_motion_is_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, way: float, yaw: float, speed: float, warned: bool
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(turning(way, yaw, speed))
+    with caplog.at_level(logging.WARNING):
+        read_tracks(path)
+    lines = [record.getMessage() for record in caplog.records]
+    assert len(lines) == warned
+    assert all("1 of 1 moving vehicles disagree" in line and "object '7'" in line for line in lines)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
         ("a.csv", "time,id,x,y,yaw,length,width\n", "columns: expected a column 'class'"),
         ("a.csv", HEADER + "0,1,zero,0,0,4,2,car", "line 2, x: expected a number, found zero"),
+        ("a.csv", HEADER + "0,1,0,0,180,4,2,car", "object '1': yaw: expected radians within 2 pi, found 180"),
+        (
+            "a.xml",
+            '<commonRoad commonRoadVersion="2020a" timeStepSize="0.1"><dynamicObstacle id="3"><type>car</type><shape>'
+            "<circle><radius>1</radius></circle></shape><initialState><position><point><x>0</x><y>0</y></point>"
+            "</position><orientation><exact>-90</exact></orientation><time><exact>0</exact></time></initialState>"
+            "</dynamicObstacle></commonRoad>",
+            "obstacle 3: orientation: expected radians within 2 pi, found -90",
+        ),
         ("a.csv", HEADER + "0,1,0,0,0,4,2,tank", "line 2, class: expected a class of road user, found tank"),
         ("a.csv", HEADER + "0,1,0,0,0,4,0,car", "object '1': size: expected three lengths"),
         ("a.csv", HEADER + "0,1,0,0,0,4,2,car\n0,1,1,0,0,4,2,car", "object '1': time: expected each time once"),
@@ -169,6 +208,7 @@ def test_a_wrong_file_is_one_line(tmp_path: Path, name: str, text: str, says: st
         ({"heading": np.zeros((2, 3))}, "heading: expected shape (2, 7)"),
         ({"position": np.zeros((2, 7, 4))}, "position: expected shape (2, 7) x 2 or 3"),
         ({"valid": np.ones((2, 7))}, "valid: expected booleans"),
+        ({"heading": np.full((2, 7), 90.0)}, "heading[0]: expected radians within 2 pi, found 90"),
         ({"type": np.array([{}, {}], object)}, "allow_pickle=False"),
         ({"id": np.array(["7", "7"]), "type": np.array(["car", "car"])}, "id: expected ids that differ"),
     ],
