@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,17 @@ from sim.boxes import Boxes
 from tests.dsrc.closed_loop.perception.error_model.percepts import INTERVAL_S, sequence
 from tests.dsrc.data.clouds.test_corrupt import BOXES, street
 from tests.fuzz.target import Target
+from tests.sim.traffic.tracks.test_datasets import write_highd, write_ind, write_interaction
 from tests.sim.traffic.tracks.test_tracks import write_csv, write_npz, write_xml
 
+META = ("tracksMeta", "recordingMeta")
+FCD = """<fcd-export><timestep time="0.00">
+<vehicle id="a" x="34.37" y="-1.60" angle="90.00" type="suv" speed="14.73" pos="34.37" lane="e_1" slope="0.00"/>
+<person id="b" x="20.00" y="-4.80" z="0.5" angle="90.00" type="DEFAULT_PEDTYPE" speed="0.00" edge="e" slope="0.0"/>
+</timestep><timestep time="0.50">
+<vehicle id="a" x="41.73" y="-1.60" angle="90.00" type="suv" speed="14.73" pos="41.73" lane="e_1" slope="0.00"/>
+</timestep></fcd-export>
+"""
 CALIBRATION = "R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\n"
 
 
@@ -75,11 +85,32 @@ def _tracks(root: Path) -> list[Target]:
     }
     for name, (write, _) in writers.items():
         write(root / name)
+    ind, highd, interaction = root / "ind", root / "highd", root / "interaction" / "vehicle_tracks_000.csv"
+    for made in (ind, highd, interaction.parent):
+        made.mkdir()
+    write_interaction(interaction)
+    fcd = root / "fcd" / "fcd.xml"
+    fcd.parent.mkdir()
+    fcd.write_text(FCD)
+    types = fcd.with_name("own.rou.xml")
+    types.write_text('<routes><vType id="suv" length="4.8" width="1.9" height="1.7" vClass="passenger"/></routes>')
+    tables = {path: path for path in (write_ind(ind), write_highd(highd), interaction, fcd)}
+    tables |= {
+        path.with_name(path.name.replace("tracks", beside)): path for path in list(tables)[:2] for beside in META
+    }
+    tables[interaction.with_name("pedestrian_tracks_000.csv")] = interaction
+    tables[types] = fcd
 
-    def recorded(path: Path) -> object:
-        return record_tracks(path, root / f"of{path.suffix}")
+    def recorded(path: Path) -> Callable[[Path], object]:
+        return lambda _: record_tracks(path, root / f"of{path.suffix}")
 
-    return [Target(f"tracks of {name}", root / name, recorded, kind) for name, (_, kind) in writers.items()]
+    return [
+        *(Target(f"tracks of {name}", root / name, recorded(root / name), kind) for name, (_, kind) in writers.items()),
+        *(
+            Target(f"tracks, {mutated.relative_to(root)}", mutated, recorded(path), "text")
+            for mutated, path in tables.items()
+        ),
+    ]
 
 
 def _boxes(root: Path) -> list[Target]:

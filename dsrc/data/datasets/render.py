@@ -66,8 +66,9 @@ def render(
     source = Path(source)
     if source.suffix.lower() in READERS and source.name != TRAFFIC_LOG:
         with tempfile.TemporaryDirectory(prefix="dsrc-tracks-") as temporary:
-            log = record_tracks(source, Path(temporary) / source.stem)
-            return render(log, out, changes, pool, progress)
+            name = source.stem.removesuffix(".xml") if source.suffix == ".gz" else source.stem
+            record_tracks(source, Path(temporary) / name)
+            return render(Path(temporary), out, changes, pool, progress)
     logs = find_logs(source)
     specs = [spec_of(log, changes) for log in logs]
     jobs, made = [], []

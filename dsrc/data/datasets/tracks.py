@@ -26,25 +26,28 @@ _MARGIN = 1
 """Steps after the last frame, for the second half of its sweep."""
 
 
-def record_tracks(path: Path, folder: Path) -> Path:
-    """Write the traffic log and the world of a track file, and return the log.
+def record_tracks(path: Path, folder: Path) -> list[Path]:
+    """Write the traffic log and the world of each recording of a track file, and return the logs.
 
     The ground is flat, at the height on which the road users stand; lanes are asphalt. Vehicles with a LiDAR are up to
     `AGENTS` of those that stay from first to last, unless others are chosen when the log is rendered.
 
     Args:
-        path: CSV, .npz or CommonRoad XML, see `sim.traffic.tracks`.
-        folder: gets `traffic.npz` and `world.npz`.
+        path: in any format of `sim.traffic.tracks`.
+        folder: gets `traffic.npz` and `world.npz`; where the file holds several recordings, a folder for each.
 
     Raises:
-        DataError: the file is missing or wrong, or too short for a frame.
+        DataError: the file is missing or wrong, or a recording too short for a frame.
     """
-    recording = read_tracks(path)
+    return [_record(path, recording, folder / recording.part) for recording in read_tracks(path)]
+
+
+def _record(path: Path, recording: Recording, folder: Path) -> Path:
     log = to_log(path, recording)
     frames = len(log) - _MARGIN
     if frames < 1:
         raise DataError(complaint(path, "time", f"tracks of at least {_MARGIN * STEP_S:g} s", f"{len(log)} step"))
-    name = re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem) or "tracks"
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", " ".join([path.stem, recording.part]).strip()) or "tracks"
     scenario = Scenario(
         name=name,
         description=f"Tracks of {path.name}",

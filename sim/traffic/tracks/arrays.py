@@ -22,7 +22,7 @@ SHAPES = {
 """Arrays by name and their axes: N objects, T times; `position` has 2 or 3 numbers more, `height` (N) is optional."""
 
 
-def read_track_arrays(path: Path) -> Recording:
+def read_track_arrays(path: Path) -> tuple[Recording, ...]:
     """Read a .npz of arrays: s, m and rad, world frame, places of the centres of boxes, `valid` where they are known.
 
     With three numbers the third is the height of the centre. `height` is an array like `length`, or missing.
@@ -59,7 +59,7 @@ def read_track_arrays(path: Path) -> Recording:
         time_s, yaw = arrays["time"][there].astype(np.float64), arrays["heading"][row, there].astype(np.float64)
         check_radians(path, f"heading[{row}]", yaw)
         tracks.append(make_track(path, _text(arrays["id"][row]), class_name, size, time_s, center, yaw))
-    return Recording(tuple(tracks))
+    return (Recording(tuple(tracks)),)
 
 
 def _text(value: NDArray) -> str:

@@ -30,10 +30,21 @@ _TURN_RAD = math.tau + 1e-3
 """Largest heading of a file in radians: a whole turn, rounded up."""
 _ASKEW_RAD = math.radians(30.0)
 """Angle between the axis and the way of a vehicle that no slip explains: in tight bends it is up to 20 degrees."""
+_STEP_M = 0.2
+"""Way over which the heading of one who walks is taken, m."""
 _STRIDE_M = 1.0
 """Way over which the direction of a motion is taken, m."""
 
-_HEIGHT_M = {"car": 1.5, "van": 2.1, "truck": 3.4, "bus": 3.2, "motorcycle": 1.5, "bicycle": 1.7, "pedestrian": 1.75}
+_SIZE_M = {
+    "car": (4.5, 1.8, 1.5),
+    "van": (5.2, 2.0, 2.1),
+    "truck": (8.6, 2.5, 3.4),
+    "bus": (12.0, 2.55, 3.2),
+    "motorcycle": (2.2, 0.85, 1.5),
+    "bicycle": (1.75, 0.65, 1.7),
+    "pedestrian": (0.6, 0.6, 1.75),
+}
+"""Length, width and height of the box of each class where a file has none, m."""
 _LONG_M = 6.5
 """Length from which on a vehicle without a closer class is a truck, m."""
 _NAMES = {
@@ -85,10 +96,12 @@ class Recording:
     Attributes:
         tracks: of road users.
         lanes: (K, 2) outlines of the lanes, m; none where the file has no map.
+        part: name of this recording in a file that holds several, each with times and ids of its own.
     """
 
     tracks: tuple[Track, ...]
     lanes: tuple[NDArray[np.float64], ...] = ()
+    part: str = ""
 
     @property
     def ground_m(self) -> float:
@@ -126,6 +139,21 @@ def check_radians(path: Path, field: str, yaw: NDArray[np.float64]) -> None:
     beyond = yaw[np.abs(yaw) > _TURN_RAD]
     if len(beyond):
         raise DataError(complaint(path, field, "radians within 2 pi", f"{beyond[0]:g}", "; is it in degrees?"))
+
+
+def heading_of_motion(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (T,) headings in which places in order of time, (T, 2) m, are left; those of one that stands are kept.
+
+    One that never moves by `_STEP_M` faces +x.
+    """
+    marks = [0]
+    for row in range(1, len(xy)):
+        if np.hypot(*(xy[row] - xy[marks[-1]])) >= _STEP_M:
+            marks.append(row)
+    if len(marks) == 1:
+        return np.zeros(len(xy))
+    way = np.diff(xy[marks], axis=0)
+    return np.arctan2(way[:, 1], way[:, 0])[np.searchsorted(marks[1:-1], np.arange(len(xy)), side="right")]
 
 
 def check_tracks(path: Path, recording: Recording) -> None:
@@ -178,14 +206,14 @@ def make_track(
     center: NDArray[np.float64],
     yaw: NDArray[np.float64],
 ) -> Track:
-    """Return a checked track in order of time; a height of NaN is that of its class.
+    """Return a checked track in order of time; a size of NaN is that of its class.
 
     Raises:
         DataError: a value is not finite or out of its range, or a time is there twice; names the object.
     """
     field = f"object '{name}'"
-    length, width, height = (float(value) for value in size)
-    height = _HEIGHT_M[class_name] if math.isnan(height) else height
+    known = zip(map(float, size), _SIZE_M[class_name], strict=True)
+    length, width, height = (usual if math.isnan(value) else value for value, usual in known)
     if not all(0.0 < value < LONGEST_M for value in (length, width, height)):
         found = f"{length:g} x {width:g} x {height:g}"
         raise DataError(complaint(path, f"{field}: size", f"three lengths in (0, {LONGEST_M:g}) m", found))

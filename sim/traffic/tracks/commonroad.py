@@ -16,8 +16,9 @@ import shapely
 from numpy.typing import NDArray
 
 from sim.errors import DataError, complaint
-from sim.reading import parsing, read_bytes
+from sim.reading import parsing
 from sim.traffic.tracks.base import GAP_S, Recording, Track, check_radians, class_of, make_track
+from sim.traffic.tracks.xml_file import number_of, read_xml_bytes
 
 VERSIONS = ("2018b", "2020a")
 _OBSTACLES = ("obstacle", "dynamicObstacle", "staticObstacle", "phantomObstacle", "environmentObstacle")
@@ -29,7 +30,7 @@ _SAME = 1e-6
 _log = logging.getLogger(__name__)
 
 
-def read_commonroad(path: Path) -> Recording:
+def read_commonroad(path: Path) -> tuple[Recording, ...]:
     """Read obstacles and lanelets.
 
     Static obstacles stand for the whole time. Obstacles that are no road users, and those whose motion is a set of
@@ -39,18 +40,18 @@ def read_commonroad(path: Path) -> Recording:
         DataError: no CommonRoad file of these versions, a value is missing or wrong, or every obstacle moves as a set
             of occupancies; names the obstacle.
     """
-    content = read_bytes(path, "CommonRoad file")
+    content = read_xml_bytes(path, "CommonRoad file")
     with parsing(path, "CommonRoad file"):
         root = ET.fromstring(content)
         version = root.get("commonRoadVersion", "")
         if root.tag != "commonRoad" or version not in VERSIONS:
             found = f"<{root.tag}> {version}".strip()
             raise DataError(complaint(path, "root", f"<commonRoad> of version {' or '.join(VERSIONS)}", found))
-        return _recording(path, root)
+        return (_recording(path, root),)
 
 
 def _recording(path: Path, root: ET.Element) -> Recording:
-    step_s = _value(path, "timeStepSize", root.get("timeStepSize"))
+    step_s = number_of(path, "timeStepSize", root.get("timeStepSize"))
     if not 0.0 < step_s <= 10.0:
         raise DataError(complaint(path, "timeStepSize", "seconds in (0, 10]", root.get("timeStepSize", "nothing")))
     lanes = [_outline(path, lanelet) for lanelet in root.findall("lanelet")]
@@ -143,9 +144,9 @@ def _box(path: Path, field: str, shape: ET.Element) -> tuple[float, float, NDArr
 
 
 def _rectangle(path: Path, field: str, part: ET.Element) -> tuple[float, float, NDArray[np.float64], float]:
-    length, width = (_value(path, f"{field}: {name}", part.findtext(name)) for name in ("length", "width"))
+    length, width = (number_of(path, f"{field}: {name}", part.findtext(name)) for name in ("length", "width"))
     turn = part.findtext("orientation")
-    angle = 0.0 if turn is None else _value(path, f"{field}: orientation", turn)
+    angle = 0.0 if turn is None else number_of(path, f"{field}: orientation", turn)
     check_radians(path, f"{field}: orientation", np.array([angle]))
     return length, width, _center(path, field, part), angle
 
@@ -158,7 +159,7 @@ def _extent(path: Path, field: str, part: ET.Element) -> NDArray[np.float64]:
             raise DataError(complaint(path, f"{field}: polygon", "at least three points", str(len(corners))))
         return corners
     if part.tag == "circle":
-        radius, center = _value(path, f"{field}: radius", part.findtext("radius")), _center(path, field, part)
+        radius, center = number_of(path, f"{field}: radius", part.findtext("radius")), _center(path, field, part)
         return np.array([center - radius, center + radius])
     length, width, center, turn = _rectangle(path, field, part)
     ahead, left = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
@@ -188,7 +189,7 @@ def _position(path: Path, field: str, state: ET.Element) -> NDArray[np.float64]:
 
 
 def _points(path: Path, field: str, points: list[ET.Element]) -> NDArray[np.float64]:
-    rows = [[_value(path, f"{field}: {axis}", point.findtext(axis)) for axis in "xy"] for point in points]
+    rows = [[number_of(path, f"{field}: {axis}", point.findtext(axis)) for axis in "xy"] for point in points]
     return np.array(rows, np.float64).reshape(-1, 2)
 
 
@@ -202,16 +203,6 @@ def _number(path: Path, field: str, value: ET.Element | None, turns: bool = Fals
         raise DataError(complaint(path, field, "a number", "nothing"))
     exact = value.findtext("exact")
     if exact is not None:
-        return _value(path, field, exact)
-    start, end = (_value(path, field, value.findtext(f"interval{side}")) for side in ("Start", "End"))
+        return number_of(path, field, exact)
+    start, end = (number_of(path, field, value.findtext(f"interval{side}")) for side in ("Start", "End"))
     return 0.5 * (start + (end + math.tau if turns and end < start else end))
-
-
-def _value(path: Path, field: str, text: str | None) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise DataError(complaint(path, field, "a number", text or "nothing"))
-    return value
