@@ -28,6 +28,7 @@ _MARKS = {
     "results.json": (b'"provenance"',),
     "scores.json": (b'"provenance"',),
     "shares.json": (b'"provenance"',),
+    "realism.json": (b'"provenance"',),
     "plan.json": (b'"perceptions"',),
 }
 for _kind, _marks in _MARKS.items():
