@@ -34,7 +34,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     "benchmark": "evaluate.Benchmark",
     "shares": "evaluate.Shares",
     "score": "evaluate.Score",
-    "realism": "realism.Realism",
+    "realism": "dataset.Realism",
     "view": "view.View",
     "drive": "drive.Drive",
     "demo": "demo.Demo",

@@ -73,3 +73,9 @@ def test_a_folder_without_drives_is_named(tmp_path: Path) -> None:
     assert done.returncode != 0
     assert str(tmp_path) in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_no_real_drives_is_an_error(tmp_path: Path) -> None:
+    done = dsrc("realism", "--simulated", str(tmp_path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert "REAL: expected at least one folder of drives, found none" in done.stderr
