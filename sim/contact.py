@@ -234,8 +234,9 @@ def _near(before: Actors, now: Actors, row: int) -> NDArray[np.int64]:
     """Return the rows of `now` whose body may have met the one of a row between two steps, at the same height."""
     radius = 0.5 * np.hypot(now.boxes.size[:, 0], now.boxes.size[:, 1])
     start = now.boxes.center[:, :2].copy()
-    _, old, new = np.intersect1d(before.boxes.object_id, now.boxes.object_id, return_indices=True)
-    start[new] = before.boxes.center[old, :2]
+    was = np.searchsorted(before.boxes.object_id, now.boxes.object_id).clip(max=len(before) - 1)
+    old = before.boxes.object_id[was] == now.boxes.object_id
+    start[old] = before.boxes.center[was[old], :2]
     offset = start - start[row]
     moved = (now.boxes.center[:, :2] - start) - (now.boxes.center[row, :2] - start[row])
     # The nearest approach of two centres that move straight.

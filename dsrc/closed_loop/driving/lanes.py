@@ -93,13 +93,12 @@ class NetworkLanes:
         gaps = np.where(near, gaps, np.inf)
         # Lanes of a junction lie on each other: all that are nearly as near count.
         near &= gaps < gaps.min(axis=1, keepdims=True) + _ALIKE_M
-        found = []
-        for row in range(len(pose)):
-            best: dict[int, int] = {}
-            for place in rows[row, near[row]].tolist():  # nearest first
-                best.setdefault(self._of[place], self._at[place])
-            found.append(self._cut(tuple(best.items()), _LENGTH_M * math.ceil((length_m[row] + 2.0) / _LENGTH_M)))
-        return found
+        best: list[dict[int, int]] = [{} for _ in pose]
+        row, column = np.nonzero(near)  # nearest first
+        for of, place in zip(row.tolist(), rows[row, column].tolist(), strict=True):
+            best[of].setdefault(self._of[place], self._at[place])
+        lengths = (_LENGTH_M * np.ceil((length_m + 2.0) / _LENGTH_M)).tolist()
+        return [self._cut(tuple(places.items()), length) for places, length in zip(best, lengths, strict=True)]
 
     @lru_cache(maxsize=100_000)  # noqa: B019  maps are few, and cached themselves
     def _cut(self, places: tuple[tuple[int, int], ...], length_m: float) -> tuple[Array, ...]:

@@ -191,11 +191,12 @@ def _on_lanes(
     at = np.maximum(first[:, None] + done[place], 0.0) / LANE_STEP_M
     low = np.minimum(at.astype(np.int64), length[:, None] - 2)
     share = at - low  # beyond its end a lane goes straight on
-    pick = np.arange(len(ways))[:, None]
-    base, onward = lines[pick, low], lines[pick, low + 1]
+    points, first_of = lines.reshape(-1, 3), np.arange(len(ways)) * lines.shape[1]
+    base, onward = (points.take(first_of[:, None] + low + step, axis=0) for step in (0, 1))
     heading = base[..., 2] + np.clip(share, 0.0, 1.0) * (onward[..., 2] - base[..., 2])
     xy = base[..., :2] + share[..., None] * (onward[..., :2] - base[..., :2])
-    xy += aside[..., None] * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+    xy[..., 0] -= aside * np.sin(heading)
+    xy[..., 1] += aside * np.cos(heading)
     xy[:, 0] = tracks.boxes.center[row, :2]
     yaw = heading.copy()
     yaw[:, 0] = tracks.boxes.yaw[row]
@@ -206,7 +207,7 @@ def _on_lanes(
     choice = min(round(_CHOICE_S / settings.step_s), len(whole.time_s) - 1)
     # The likeliest lane is nearest to where its turn rate leads; as long as all are, the straightest.
     end = np.minimum(done[place, -1] / LANE_STEP_M, length - 1).astype(np.int64)
-    bent = np.abs(lines[pick[:, 0], end, 2] - start[:, 2])
+    bent = np.abs(points[first_of + end, 2] - start[:, 2])
     off = np.hypot(*(xy[:, choice] - whole.xy[row, choice]).T) + _STRAIGHT_M * bent
     off += _BESIDE * np.abs(left) + 100.0 * ~fit
     likely = np.zeros(len(ways), bool)

@@ -11,9 +11,25 @@ Rows = NDArray[np.int64]
 
 
 def squared_distances(offset: Array, variance: Array) -> Array:
-    """Return (N, M) squared Mahalanobis distances of offsets (N, M, 2), m, of covariances (N, M, 2, 2), m2."""
-    x, y = offset[..., 0], offset[..., 1]
-    xx, yy, xy = variance[..., 0, 0], variance[..., 1, 1], variance[..., 0, 1]
+    """Return (...) squared Mahalanobis distances of offsets (..., 2), m, of covariances (..., 2, 2), m2."""
+    return _squared(offset[..., 0], offset[..., 1], variance[..., 0, 0], variance[..., 1, 1], variance[..., 0, 1])
+
+
+def pair_distances(mean: Array, covariance: Array, points: Array, variance: Array) -> Array:
+    """Return (N, M) squared Mahalanobis distances of every point from every mean.
+
+    Args:
+        mean: (N, 2) m.
+        covariance: (N, 2, 2) of the means, m2.
+        points: (M, 2) m.
+        variance: (M, 2, 2) of the points, m2.
+    """
+    x, y = (points[None, :, axis] - mean[:, None, axis] for axis in (0, 1))
+    xx, yy, xy = (covariance[:, None, a, b] + variance[None, :, a, b] for a, b in ((0, 0), (1, 1), (0, 1)))
+    return _squared(x, y, xx, yy, xy)
+
+
+def _squared(x: Array, y: Array, xx: Array, yy: Array, xy: Array) -> Array:
     return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 

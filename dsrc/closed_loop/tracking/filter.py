@@ -60,8 +60,14 @@ class State(Rows):
     mean: Array
     covariance: Array
 
+    def taken(self, rows: NDArray[np.integer]) -> "State":
+        """Return the estimates of some rows, which ascend; the state itself, where these are all."""
+        return self if len(rows) == len(self) else self[rows]
+
     def replaced(self, rows: NDArray[np.integer], other: "State") -> "State":
-        """Return the estimates with some rows from another state."""
+        """Return the estimates with some rows, which ascend, from another state."""
+        if len(rows) == len(self):
+            return other
         mean, covariance = self.mean.copy(), self.covariance.copy()
         mean[rows], covariance[rows] = other.mean, other.covariance
         return State(mean, covariance)

@@ -5,12 +5,20 @@ the age of a message. Everything is sorted before it is used, so the order of th
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.tracking.association import assigned, centred, originals, overlaps, squared_distances
+from dsrc.closed_loop.tracking.association import (
+    assigned,
+    centred,
+    originals,
+    overlaps,
+    pair_distances,
+    squared_distances,
+)
 from dsrc.closed_loop.tracking.bank import GROUP, KIND, Bank, Measured
 from dsrc.closed_loop.tracking.filter import (
     RATE,
@@ -50,6 +58,13 @@ class _Step:
     measured: Measured
     before: Bank
     may_start: bool
+
+
+class _Place(NamedTuple):
+    """Labels (N,) and boxes (N, 7) of detections or tracks."""
+
+    label: Integers
+    box: Array
 
 
 class Tracker:
@@ -144,7 +159,7 @@ class Tracker:
         # The box that refutes a track may be another road user's first.
         fresh = (measured.score >= settings.start_score) & step.may_start
         fresh[found[~ended[tracks]]] = False
-        bank = bank[~ended]
+        bank = bank[~ended] if ended.any() else bank
 
         if fresh.any():
             bank = stacked(bank, self._start(measured[np.flatnonzero(fresh)], step.serial, measured.time_s))
@@ -157,6 +172,8 @@ class Tracker:
         bank = replace(bank, time_s=time_s)
         if (forgotten := time_s - bank.seen_s > settings.forget_s).any():
             bank = bank[~forgotten]
+        if since_s == 0.0:
+            return bank, since_s
         # White residuals have a running mean near 0, of a known deviation: one that pushes on brakes or accelerates.
         white = (settings.push_gain / (2.0 - settings.push_gain)) ** 0.5
         p = Parameters.of(self._table[bank.label])
@@ -167,16 +184,17 @@ class Tracker:
     def _without_duplicates(self, measured: Measured) -> Measured:
         """Return the boxes without those that overlap a better one of their group; owners' reports always differ."""
         both = measured.reported[:, None] & measured.reported[None, :]
-        same = self._in_one_place(measured, measured, ~both & ~np.eye(len(both), dtype=bool))
+        place = _Place(measured.label, measured.box)
+        same = self._in_one_place(place, place, ~both & ~np.eye(len(both), dtype=bool))
         return measured[originals(same)] if same.any() else measured
 
     def _associated(self, bank: Bank, measured: Measured) -> tuple[Integers, Integers, Bank]:
         """Return rows of tracks, rows of their boxes, and tracks whose estimate was too certain for theirs, widened."""
         settings = self.settings
         mean, covariance = bank.state.mean, bank.state.covariance
-        offset = measured.box[None, :, :2] - mean[:, None, :2]
-        distance = squared_distances(offset, covariance[:, None, :2, :2] + measured.variance[None])
-        alike = GROUP[bank.label][:, None] == GROUP[measured.label][None, :]
+        distance = pair_distances(mean, covariance, measured.box, measured.variance)
+        label = bank.label
+        alike = GROUP[label][:, None] == GROUP[measured.label][None, :]
         gate = settings.gate**2
         # A tentative track, which may move anyhow, would fit nearly every box: confirmed ones choose first.
         most = gate + settings.score_cost
@@ -187,7 +205,8 @@ class Tracker:
         # moved as the filter did not expect.
         alike[tracks, :] = False
         alike[:, found] = False
-        if len(tracks) < min(alike.shape) and (same := self._in_one_place(bank, measured, alike)).any():
+        places = _Place(label, bank.box), _Place(measured.label, measured.box)
+        if len(tracks) < min(alike.shape) and (same := self._in_one_place(*places, alike)).any():
             more, theirs = assigned(distance, same, float(distance[same].max()) + 1.0)
             widened = covariance[more] * (distance[more, theirs] / gate)[:, None, None].clip(1.0)
             bank = replace(bank, state=bank.state.replaced(more, State(mean[more], widened)))
@@ -208,13 +227,14 @@ class Tracker:
         alone[tracks] = False
         rolling = np.isfinite(Parameters.of(self._table[bank.label]).slip_mps)
         once = np.flatnonzero(alone & (bank.hits == 1) & rolling)
-        rest = np.setdiff1d(np.arange(len(measured.score)), found)
+        free = np.ones(len(measured.score), bool)
+        free[found] = False
+        rest = np.flatnonzero(free)
         if not (len(once) and len(rest)):
             return tracks, found, bank
         first, second, gate = bank[once], measured[rest], self.settings.gate**2
         state = lying_across(first.state)
-        offset = second.box[None, :, :2] - state.mean[:, None, :2]
-        distance = squared_distances(offset, state.covariance[:, None, :2, :2] + second.variance[None])
+        distance = pair_distances(state.mean, state.covariance, second.box, second.variance)
         alike = GROUP[first.label][:, None] == GROUP[second.label][None, :]
         rows, theirs = assigned(distance, alike & (distance <= gate), gate)
         place = np.arange(len(rows))
@@ -230,7 +250,7 @@ class Tracker:
         """Return the tracks after the boxes (K) of some of them (K)."""
         settings, reported = self.settings, measured.reported
         table = self._table[bank.label[tracks]]
-        p, state = Parameters.of(table), bank.state[tracks]
+        p, state = Parameters.of(table), bank.state.taken(tracks)
 
         offset, variance = measured.box[:, :2] - state.mean[:, :2], measured.variance
         ahead = np.column_stack([np.cos(state.mean[:, YAW]), np.sin(state.mean[:, YAW])])
@@ -255,12 +275,12 @@ class Tracker:
         state = with_pose(state, measured.box[:, :2], variance, residual, yaw_rad)
 
         if (known := np.flatnonzero(reported)).size:
-            told = with_velocity(state[known], measured.velocity[known], settings.reported_velocity_mps)
+            told = with_velocity(state.taken(known), measured.velocity[known], settings.reported_velocity_mps)
             state = state.replaced(known, told)
         if (rolling := np.flatnonzero(np.isfinite(p.slip_mps) & ~reported)).size:
-            state = state.replaced(rolling, without_slip(state[rolling], Parameters.of(table[rolling])))
+            state = state.replaced(rolling, without_slip(state.taken(rolling), Parameters.of(table[rolling])))
         if (free := np.flatnonzero(~reported)).size:
-            state = state.replaced(free, facing_forward(state[free], settings.direction_mps))
+            state = state.replaced(free, facing_forward(state.taken(free), settings.direction_mps))
 
         # A box that overlaps the track beyond the gate is of it as well, and counts as one at the gate.
         expected = bank.state.covariance[tracks, :2, :2] + variance
@@ -336,14 +356,18 @@ class Tracker:
             number=np.full(n, -1, np.int64),
         )
 
-    def _in_one_place(self, a: Bank | Measured, b: Bank | Measured, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _in_one_place(self, a: _Place, b: _Place, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return which pairs (N, M) of `among` are of one group and in one place, where two road users cannot be.
 
         A pedestrian covers too little of the box of a bicycle for `overlap`.
         """
-        group, box = (GROUP[a.label][:, None], GROUP[b.label][None, :]), (a.box, b.box)
-        alike = among & (group[0] == group[1])
-        return overlaps(*box, alike, self.settings.overlap) | (centred(*box) & alike & (group[0] == 1))
+        group = GROUP[a.label][:, None]
+        alike = among & (group == GROUP[b.label][None, :])
+        if not alike.any():
+            return alike
+        same = overlaps(a.box, b.box, alike, self.settings.overlap)
+        walkers = alike & (group == 1)
+        return same | (centred(a.box, b.box) & walkers) if walkers.any() else same
 
     def _numbered(self, bank: Bank) -> Bank:
         """Return the tracks with numbers for those that are confirmed now.
@@ -368,7 +392,9 @@ class Tracker:
         if seen.all():
             return bank
         lost, found = np.flatnonzero(~seen), np.flatnonzero(seen)
-        same = self._in_one_place(bank[lost], bank[found], np.ones((len(lost), len(found)), bool))
+        label, box = bank.label, bank.box
+        places = (_Place(label[rows], box[rows]) for rows in (lost, found))
+        same = self._in_one_place(*places, np.ones((len(lost), len(found)), bool))
         if not same.any():
             return bank
         source, keep = np.arange(len(seen)), np.ones(len(seen), bool)
@@ -396,7 +422,8 @@ class Tracker:
     def _tracks(self, time_s: float) -> Tracks:
         """Return the confirmed tracks at the present."""
         order = np.argsort(self._bank.number, kind="stable")
-        confirmed = self._bank[order[self._bank.number[order] >= 0]]
+        rows = order[self._bank.number[order] >= 0]
+        confirmed = self._bank if np.array_equal(rows, np.arange(len(self._bank))) else self._bank[rows]
         bank, _ = self._predicted(confirmed, max(time_s, confirmed.time_s))
         box, mean, covariance = bank.box, bank.state.mean, bank.state.covariance
         xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]

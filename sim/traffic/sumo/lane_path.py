@@ -1,78 +1,133 @@
 """Path of a SUMO vehicle along the lanes ahead, as a world polyline."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 
-def lane_path(sumo: Any, vehicle: str, centre: NDArray[np.float64], ahead_m: float) -> NDArray[np.float64]:
-    """Return the path of a vehicle along its route, lane by lane, junctions included.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lane:
+    """Lane of the running network, as drawn.
+
+    Attributes:
+        shape: (K, 2) m.
+        along: (K,) distances from its start, m.
+        scale: drawn length over the network's: the two may differ, and positions scale between them.
+        whole: (L, 2) the shape without points at its ends' places.
+        whole_m: its length, m.
+        edge: edge that it belongs to.
+        links: lane, its edge and the junction's lane to it, "" for none, of each way on.
+    """
+
+    shape: Array
+    along: Array
+    scale: float
+    whole: Array
+    whole_m: float
+    edge: str
+    links: tuple[tuple[str, str, str], ...]
+
+
+class LanePaths:
+    """Paths along the lanes of a running simulation, each of which is read once.
 
     Args:
         sumo: the libsumo module of the running simulation.
-        centre: (2,) centre of its box, m: the first point.
-        ahead_m: length of the path, m; shorter where the route ends.
-
-    Returns:
-        (K, 2) with K >= 2, no point twice.
     """
-    pieces = [np.asarray(centre, np.float64)[None]]
-    lane = sumo.vehicle.getLaneID(vehicle)
-    done = sumo.vehicle.getLanePosition(vehicle)
-    edges = sumo.vehicle.getRoute(vehicle)
-    index = max(sumo.vehicle.getRouteIndex(vehicle), 0)
-    remaining = ahead_m
-    while lane and remaining > 0.0:
-        shape = np.array(sumo.lane.getShape(lane), np.float64)[:, :2]
-        # Lengths in the network may differ from those of the drawn shape: positions scale between them.
-        scale = _length(shape) / max(sumo.lane.getLength(lane), 1e-6)
-        piece = _cut(shape, done * scale, remaining + done * scale)
-        pieces.append(piece)
-        remaining -= _length(piece)
-        done = 0.0
-        internal = lane.startswith(":")
-        lane, moved_on = _next_lane(sumo, lane, edges, index, internal)
-        index += moved_on
-    return _without_repeats(np.concatenate(pieces), ahead_m)
 
+    def __init__(self, sumo: Any) -> None:
+        self._sumo = sumo
+        self._lanes: dict[str, _Lane] = {}
 
-def _next_lane(sumo: Any, lane: str, edges: tuple[str, ...], index: int, internal: bool) -> tuple[str, int]:
-    """Return the next lane, junction lanes included, and the number of route edges passed."""
-    if internal:
-        links = sumo.lane.getLinks(lane)
-        if not links:
+    def path(self, vehicle: str, centre: Array, ahead_m: float) -> Array:
+        """Return the path of a vehicle along its route, lane by lane, junctions included.
+
+        Args:
+            centre: (2,) centre of its box, m: the first point.
+            ahead_m: length of the path, m; shorter where the route ends.
+
+        Returns:
+            (K, 2) with K >= 2, no point twice.
+        """
+        pieces = [np.asarray(centre, np.float64)[None]]
+        name = self._sumo.vehicle.getLaneID(vehicle)
+        done = self._sumo.vehicle.getLanePosition(vehicle)
+        edges = self._sumo.vehicle.getRoute(vehicle)
+        index = max(self._sumo.vehicle.getRouteIndex(vehicle), 0)
+        remaining = ahead_m
+        while name and remaining > 0.0:
+            lane = self._lane(name)
+            start, end = done * lane.scale, remaining + done * lane.scale
+            if start == 0.0 and end >= lane.along[-1]:
+                piece, length = lane.whole, lane.whole_m
+            else:
+                piece = _cut(lane.shape, lane.along, start, end)
+                length = _length(piece)
+            pieces.append(piece)
+            remaining -= length
+            done = 0.0
+            name, moved_on = self._next(name, lane, edges, index)
+            index += moved_on
+        return _without_repeats(np.concatenate(pieces), ahead_m)
+
+    def _next(self, name: str, lane: _Lane, edges: tuple[str, ...], index: int) -> tuple[str, int]:
+        """Return the next lane, junction lanes included, and the number of route edges passed."""
+        if name.startswith(":"):
+            return (lane.links[0][2] or lane.links[0][0], 0) if lane.links else ("", 0)
+        # A vehicle on a lane without a link to its next edge will change lanes: take the nearest that has one.
+        position = edges.index(lane.edge, index) if lane.edge in edges[index:] else index
+        if position + 1 >= len(edges):
             return "", 0
-        target, via = links[0][0], links[0][4]
-        return (via, 0) if via else (target, 0)
-    edge = sumo.lane.getEdgeID(lane)
-    # A vehicle on a lane without a link to its next edge will change lanes: take the nearest that has one.
-    position = edges.index(edge, index) if edge in edges[index:] else index
-    if position + 1 >= len(edges):
+        number = int(name.rsplit("_", 1)[1])
+        for other in sorted(range(self._sumo.edge.getLaneNumber(lane.edge)), key=lambda k: (abs(k - number), k)):
+            for target, edge, via in self._lane(f"{lane.edge}_{other}").links:
+                if edge == edges[position + 1]:
+                    return (via or target), position + 1 - index
         return "", 0
-    number = int(lane.rsplit("_", 1)[1])
-    for other in sorted(range(sumo.edge.getLaneNumber(edge)), key=lambda k: (abs(k - number), k)):
-        for link in sumo.lane.getLinks(f"{edge}_{other}"):
-            if sumo.lane.getEdgeID(link[0]) == edges[position + 1]:
-                return (link[4] or link[0]), position + 1 - index
-    return "", 0
+
+    def _lane(self, name: str) -> _Lane:
+        if name not in self._lanes:
+            lane = self._sumo.lane
+            shape = np.array(lane.getShape(name), np.float64)[:, :2]
+            along = _along(shape)
+            whole = _cut(shape, along, 0.0, along[-1])
+            links = tuple((link[0], lane.getEdgeID(link[0]), link[4]) for link in lane.getLinks(name))
+            scale = _length(shape) / max(lane.getLength(name), 1e-6)
+            self._lanes[name] = _Lane(shape, along, scale, whole, _length(whole), lane.getEdgeID(name), links)
+        return self._lanes[name]
 
 
-def _length(points: NDArray[np.float64]) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+def _steps(points: Array) -> Array:
+    return np.asarray(np.linalg.norm(points[1:] - points[:-1], axis=1))
 
 
-def _cut(points: NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    start, end = np.clip([start, max(start, end)], 0.0, along[-1])
+def _length(points: Array) -> float:
+    return float(_steps(points).sum())
+
+
+def _along(points: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(_steps(points))])
+
+
+def _cut(points: Array, along: Array, start: float, end: float) -> Array:
+    """Return a polyline, whose points have distances `along` from its start, between two distances."""
+    last = float(along[-1])
+    start, end = (min(max(at, 0.0), last) for at in (start, max(start, end)))
     inner = along[(along > start) & (along < end)]
     at = np.concatenate([[start], inner, [end]])
-    return np.stack([np.interp(at, along, points[:, k]) for k in range(2)], axis=1)
+    cut = np.zeros((len(at), 2))
+    for axis in range(2):
+        cut[:, axis] = np.interp(at, along, points[:, axis])
+    return cut
 
 
-def _without_repeats(points: NDArray[np.float64], ahead_m: float) -> NDArray[np.float64]:
-    keep = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-6])
+def _without_repeats(points: Array, ahead_m: float) -> Array:
+    keep = np.concatenate([[True], _steps(points) > 1e-6])
     path = points[keep]
     if len(path) == 1:
         return np.repeat(path, 2, axis=0)
-    return _cut(path, 0.0, ahead_m)
+    return _cut(path, _along(path), 0.0, ahead_m)

@@ -21,7 +21,7 @@ from sim.traffic.base import PARKED, Actors, DrivableTraffic, Limits, TrafficLig
 from sim.traffic.parking import parked_cars
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.input import check_signals, signals_xml, sumo_options
-from sim.traffic.sumo.lane_path import lane_path
+from sim.traffic.sumo.lane_path import LanePaths
 from sim.traffic.sumo.motion import BodyMotion
 from sim.traffic.sumo.placed import SUMO_SPEED_MODE, PlacedVehicles
 from sim.traffic.sumo.red_light import red_light_speed
@@ -53,6 +53,31 @@ class _RoadUser:
     is_person: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Constants:
+    """Constant properties of all road users so far, in columns.
+
+    Attributes:
+        size: (N, 3) m.
+        label: (N,) class.
+        is_person: (N,).
+    """
+
+    size: NDArray[np.float64]
+    label: NDArray[np.int64]
+    is_person: NDArray[np.bool_]
+
+    def of(self, users: dict[str, _RoadUser]) -> "_Constants":
+        """Return the columns of road users: these, as long as none has come."""
+        if len(users) == len(self.label):
+            return self
+        return _Constants(
+            size=np.array([user.kind.size for user in users.values()], dtype=np.float64).reshape(-1, 3),
+            label=np.array([user.kind.label_index for user in users.values()], dtype=np.int64),
+            is_person=np.array([user.is_person for user in users.values()], dtype=bool),
+        )
+
+
 class SumoTraffic(DrivableTraffic):
     """Running SUMO simulation of a scenario: `with SumoTraffic(scenario, seed) as traffic: traffic.step()`.
 
@@ -71,7 +96,8 @@ class SumoTraffic(DrivableTraffic):
         self.step_s = scenario.step_s
         self._seed = seed
         self._placed = PlacedVehicles()
-        self._users: dict[str, _RoadUser] = {}
+        self._users: dict[str, _RoadUser] = {}  # in the order of their ids
+        self._constants = _Constants(np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, bool))
         self._motion = BodyMotion(scenario.step_s)
         self._commanded: dict[str, float] = {}
         self._actors: Actors | None = None
@@ -141,7 +167,7 @@ class SumoTraffic(DrivableTraffic):
         """Return the (K, 2) world polyline that a vehicle will follow, from its centre over the next `ahead_m` m."""
         name = self._vehicle(object_id)
         centre = self.actors.boxes.center[self.actors.row(object_id), :2]
-        return lane_path(self._sumo, name, centre, ahead_m)
+        return self._paths.path(name, centre, ahead_m)
 
     def speed(self, object_id: int) -> float:
         """Return the odometer reading of a vehicle: its speed along its lane, m/s."""
@@ -171,6 +197,7 @@ class SumoTraffic(DrivableTraffic):
         import libsumo
 
         self._sumo: Any = libsumo
+        self._paths = LanePaths(libsumo)
         with tempfile.TemporaryDirectory(prefix="dsrc-traffic-") as folder:
             net = read_network(network)
             check_signals(scenario, net)
@@ -273,41 +300,42 @@ class SumoTraffic(DrivableTraffic):
         vehicle, person = self._sumo.vehicle, self._sumo.person
         users = [self._users[name] for name in (*vehicle.getIDList(), *person.getIDList())]
         users.sort(key=lambda user: user.object_id)
-        rows, lanes = [], []
-        for user in users:
-            domain, name = (person, user.name) if user.is_person else (vehicle, user.name)
-            signals = 0 if user.is_person else vehicle.getSignals(name)
-            rows.append((*domain.getPosition3D(name), domain.getAngle(name), domain.getSlope(name), signals))
-            lanes.append(domain.getLaneID(name))
-        table = np.array(rows, dtype=np.float64).reshape(-1, 6)
-        object_id = np.array([user.object_id for user in users], dtype=np.int64)
-        size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
-        # SUMO's reference is the front bumper of a vehicle but the middle of a person.
-        reference = np.array([0.0 if user.is_person else user.kind.size[0] for user in users], dtype=np.float64)
+        names = tuple(user.name for user in users)
+        numbers = np.array([user.object_id for user in users], dtype=np.int64) - FIRST_ID
+        self._constants = constants = self._constants.of(self._users)
+        size, is_person = constants.size[numbers], constants.is_person[numbers]
+        place, angle, slope = np.zeros((len(users), 3)), np.zeros(len(users)), np.zeros(len(users))
+        signals, lanes = np.zeros(len(users), np.int32), np.zeros(len(users), object)
+        for domain, rows in ((vehicle, np.flatnonzero(~is_person)), (person, np.flatnonzero(is_person))):
+            those = [names[row] for row in rows.tolist()]
+            place[rows] = np.array([domain.getPosition3D(name) for name in those]).reshape(-1, 3)
+            angle[rows] = [domain.getAngle(name) for name in those]
+            slope[rows] = [domain.getSlope(name) for name in those]
+            lanes[rows] = [domain.getLaneID(name) for name in those]
+            if domain is vehicle:
+                signals[rows] = [domain.getSignals(name) for name in those]
         self._motion.make_room(len(self._users))
-        trails = np.flatnonzero([not user.is_person for user in users])
-        table[trails, 3] = self._motion.follow(
-            object_id[trails] - FIRST_ID, table[trails, :2], table[trails, 3], size[trails, 0]
-        )
-        base, yaw, pitch = center_from_sumo(table[:, :3], table[:, 3], table[:, 4], reference)
-        velocity, acceleration = self._velocities(users, object_id - FIRST_ID, base[:, :2], yaw)
-        center = base + np.array([0.0, 0.0, 0.5]) * size
+        trails = np.flatnonzero(~is_person)
+        angle[trails] = self._motion.follow(numbers[trails], place[trails, :2], angle[trails], size[trails, 0])
+        # SUMO's reference is the front bumper of a vehicle but the middle of a person.
+        base, yaw, pitch = center_from_sumo(place, angle, slope, np.where(is_person, 0.0, size[:, 0]))
+        velocity, acceleration = self._velocities(users, numbers, base[:, :2], yaw)
         moving = Actors(
             time_s=round(self._sumo.simulation.getTime(), 6),
             boxes=Boxes(
-                center=center,
+                center=base + np.array([0.0, 0.0, 0.5]) * size,
                 size=size,
                 yaw=yaw,
-                label=np.array([user.kind.label_index for user in users], dtype=np.int64),
-                object_id=object_id,
+                label=constants.label[numbers],
+                object_id=numbers + FIRST_ID,
             ),
             pitch=pitch,
             velocity=velocity,
             acceleration=acceleration,
             model=tuple(user.model for user in users),
-            name=tuple(user.name for user in users),
-            signals=table[:, 5].astype(np.int32),
-            lane=tuple(lanes),
+            name=names,
+            signals=signals,
+            lane=tuple(lanes.tolist()),
         )
         return self._parked.joined(moving) if len(self._parked) else moving
 

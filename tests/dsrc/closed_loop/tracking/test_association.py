@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dsrc.closed_loop.tracking.association import assigned, originals, overlaps, squared_distances
+from dsrc.closed_loop.tracking.association import assigned, originals, overlaps, pair_distances, squared_distances
 from dsrc.ops.iou import bev_iou
 
 
@@ -46,6 +46,16 @@ def test_a_mahalanobis_distance_is_that_of_the_inverse_covariance() -> None:
     variance = root @ np.swapaxes(root, 2, 3) + np.eye(2)
     expected = np.einsum("nmi,nmij,nmj->nm", offset, np.linalg.inv(variance), offset)
     assert squared_distances(offset, variance) == pytest.approx(expected)
+
+
+def test_distances_of_pairs_are_those_of_their_offsets_and_summed_covariances() -> None:
+    rng = np.random.default_rng(1)
+    mean, points = rng.normal(size=(5, 6)), rng.normal(size=(7, 3))
+    a, b = (root @ np.swapaxes(root, 1, 2) for root in (rng.normal(size=(5, 6, 6)), rng.normal(size=(7, 2, 2))))
+    offset = points[None, :, :2] - mean[:, None, :2]
+    expected = squared_distances(offset, a[:, None, :2, :2] + b[None])
+    assert expected.shape == (5, 7)
+    assert np.array_equal(pair_distances(mean, a, points, b), expected)
 
 
 @given(st.integers(0, 12), st.integers(0, 10_000))
