@@ -1,5 +1,6 @@
 """Timing on a machine that others use too: variants take turns, and the least disturbed samples of each count."""
 
+import math
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -34,7 +35,7 @@ class Timing:
 
 
 def measure(
-    variants: Mapping[str, Callable[[], object]], *, rounds: int, keep: int, sample_s: float
+    variants: Mapping[str, Callable[[], object]], *, rounds: int, keep: int, sample_s: float, most_s: float = math.inf
 ) -> dict[str, Timing]:
     """Time variants against one another.
 
@@ -45,13 +46,18 @@ def measure(
         rounds: samples of each.
         keep: how many of them count: those during which other processes worked least.
         sample_s: least duration of a sample, s; filled up with calls.
+        most_s: time for all samples of a variant, s; one whose calls take longer sits out some rounds, and has two
+            samples at least.
     """
     duration = {name: _warm_seconds(run) for name, run in variants.items()}
     calls = {name: max(1, int(np.ceil(sample_s / duration[name]))) for name in variants}
     samples: dict[str, list[tuple[float, float, float]]] = {name: [] for name in variants}
+    turns = {name: int(np.clip(most_s / duration[name], 2, rounds)) for name in variants}
     names = list(variants)
     for turn in range(rounds):
         for name in names[turn % len(names) :] + names[: turn % len(names)]:
+            if (turn + 1) * turns[name] // rounds == turn * turns[name] // rounds:
+                continue
             if duration[name] < _SLOW_S:
                 # What other variants pushed out of caches, the engine's and the processor's, comes back off the clock.
                 variants[name]()

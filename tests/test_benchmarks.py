@@ -1,5 +1,6 @@
 """The benchmarks start, and measure the streets that they say they measure."""
 
+import time
 from importlib import import_module
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import torch
 import tyro
 
+from benchmarks.closed_loop import Run
 from benchmarks.corruptions import GOALS, POINTS, REFERENCES, STATED, goal_of, make_frame, peak_mb, variants_of
 from benchmarks.frames import rays_of
 from benchmarks.generate import STAGES, Clock, Cost, Point, busy_scenario, points
@@ -40,6 +42,25 @@ def test_sixty_vehicles_of_which_five_scan_keep_the_makers_of_drives_busy() -> N
         opv2v.encode_pcd(toy_frame(0).agents[0].sweep)
     assert clock.seconds["encode"] > 0.0 and set(clock.seconds) == {"encode"}
     assert set(STAGES) | {"traffic", "write"} == {"traffic", "tracing", "visibility", "encode", "write"}
+
+
+def test_a_slow_variant_sits_out_rounds_and_the_others_take_part_in_all() -> None:
+    calls = {"slow": 0, "fast": 0}
+
+    def run(name: str, seconds: float) -> None:
+        calls[name] += 1
+        time.sleep(seconds)
+
+    variants = {"slow": lambda: run("slow", 0.3), "fast": lambda: run("fast", 0.001)}
+    found = measure(variants, rounds=6, keep=5, sample_s=0.001, most_s=0.1)
+    assert found["slow"].samples == 2 and calls["slow"] == 2 + 2
+    assert found["fast"].samples == 5 and calls["fast"] >= 2 + 6
+
+
+def test_the_start_of_an_episode_is_not_counted_as_a_step() -> None:
+    run = Run("", step=lambda: None, begin=lambda: time.sleep(0.05))
+    run.take(3, until=float("inf"))
+    assert run.steps == 3 and run.wall_s < 0.05
 
 
 def test_one_run_varies_agents_vehicles_and_clouds_around_the_same_drive() -> None:

@@ -393,8 +393,8 @@ class Tracker:
             return bank
         lost, found = np.flatnonzero(~seen), np.flatnonzero(seen)
         label, box = bank.label, bank.box
-        places = (_Place(label[rows], box[rows]) for rows in (lost, found))
-        same = self._in_one_place(*places, np.ones((len(lost), len(found)), bool))
+        gone, present = (_Place(label[rows], box[rows]) for rows in (lost, found))
+        same = self._in_one_place(gone, present, np.ones((len(lost), len(found)), bool))
         if not same.any():
             return bank
         source, keep = np.arange(len(seen)), np.ones(len(seen), bool)

@@ -52,6 +52,8 @@ def _flow(value: Plain) -> str:
         plain = _WORD.fullmatch(value) and value.lower() not in _RESERVED
         return value if plain else _quoted(value)
     if isinstance(value, list | tuple):
+        if _NUMBERS.fullmatch(text := repr(value)):  # Python's text is YAML's
+            return text
         return "[" + ", ".join(_flow(item) for item in value) + "]"
     if isinstance(value, dict):
         return "{" + ", ".join(f"{_flow(key)}: {_flow(item)}" for key, item in value.items()) + "}"
@@ -66,6 +68,7 @@ def _quoted(text: str) -> str:
     return '"' + "".join(json.dumps(c)[1:-1] if "\x7f" != c < "\U00010000" else f"\\U{ord(c):08x}" for c in whole) + '"'
 
 
+_NUMBERS = re.compile(r"[-0-9., \[\]]*")
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null", "nan", "inf"}
 

@@ -137,7 +137,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         sweep_time_s=float(agent.sweep.time_s),
         lidar=agent.sweep.spec,
         object_id=truth.object_id.tolist(),
-        label=[CLASSES[i] for i in truth.label],
+        label=[CLASSES[i] for i in truth.label.tolist()],
         box=truth.array.tolist(),
         velocity=_known(frame.velocity),
         points_on=frame.points_on[row].tolist(),
@@ -148,7 +148,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         signals=frame.signals.tolist(),
         lane=list(frame.lane),
         # The shortest decimals that read back as the same float32.
-        visible_fraction=[None if np.isnan(share) else float(str(share)) for share in frame.visible_fraction[row]],
+        visible_fraction=[None if text == "nan" else float(text) for text in map(str, frame.visible_fraction[row])],
         sight=frame.sight[row].tolist(),
     )
 
