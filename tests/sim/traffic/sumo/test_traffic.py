@@ -20,6 +20,7 @@ from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario, SignalProgram
 from sim.traffic.base import Actors, lit
 from sim.traffic.replay import ReplayTraffic
+from sim.traffic.sumo.lane_path import LanePaths
 from sim.traffic.sumo.traffic import SumoTraffic
 
 RECORD = """
@@ -281,6 +282,23 @@ def test_a_vehicle_that_was_placed_changes_lanes_as_before(traffic: SumoTraffic,
     assert libsumo.vehicle.getLaneChangeMode(name) == 0
     traffic.command(car, speed_mps)
     assert libsumo.vehicle.getLaneChangeMode(name) == before > 0
+
+
+def test_lanes_read_once_give_the_routes_of_lanes_read_anew(traffic: SumoTraffic) -> None:
+    import libsumo
+
+    far = 0
+    for _ in range(20):
+        actors = traffic.step()
+        for i in actors.boxes.object_id[actors.boxes.is_vehicle].tolist():
+            row = actors.row(i)
+            kept, anew = (
+                traffic.route(i, 300.0),
+                LanePaths(libsumo).path(actors.name[row], actors.boxes.center[row, :2], 300.0),
+            )
+            assert np.array_equal(kept, anew)
+            far += np.linalg.norm(np.diff(kept, axis=0), axis=1).sum() > 100.0
+    assert far > 20
 
 
 def test_the_route_ahead_starts_at_the_vehicle_and_is_where_it_drives(traffic: SumoTraffic) -> None:
