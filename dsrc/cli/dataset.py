@@ -239,7 +239,7 @@ class Card(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Convert(ConvertOptions, frozen=True):
-    """Convert drives to OPV2V, DAIR-V2X-C, KITTI or MCAP; an interrupted run resumes.
+    """Convert drives to OPV2V, DAIR-V2X-C, KITTI, MCAP or OSI; an interrupted run resumes.
 
     Examples:
         dsrc dataset convert data/test --to dair --out data/test_dair

@@ -149,13 +149,14 @@ class ConvertOptions(msgspec.Struct, frozen=True):
     Attributes:
         data: a drive, or a folder of drives, in any supported format; a split of a DAIR-V2X-C tree is TREE/val.
         out: folder of the new tree.
-        to: new format; compact is OPV2V with compact clouds; mcap, for Foxglove, needs the package mcap.
+        to: new format; compact is OPV2V with compact clouds; mcap, for Foxglove, needs the package mcap;
+            osi (.osi traces) and osi-mcap need betterosi.
         agent_id: agent whose sweeps are written to KITTI and DAIR: ego, all (KITTI) or an id; default: ego.
         view: labels of KITTI: those in the picture of a nominal camera, or all around.
     """
 
     data: Data
     out: Folder
-    to: Literal["opv2v", "compact", "dair", "kitti", "mcap"]
+    to: Literal["opv2v", "compact", "dair", "kitti", "mcap", "osi", "osi-mcap"]
     agent_id: Annotated[str | None, arg(metavar="{ego,all,INT}")] = None
     view: Literal["camera", "around"] = "camera"

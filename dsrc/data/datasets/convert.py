@@ -1,4 +1,4 @@
-"""Conversion of drives, any supported format, to OPV2V, with PCD or compact clouds, DAIR-V2X-C, KITTI or MCAP.
+"""Conversion of drives, any supported format, to OPV2V, with PCD or compact clouds, DAIR-V2X-C, KITTI, MCAP or OSI.
 
 A drive is a work item, written frame by frame, each file completely or not at all; an interrupted run resumes. A folder
 that holds something else is refused.
@@ -28,6 +28,7 @@ from dsrc.data.formats.opv2v.reader import (
     with_clouds,
     write_frame,
 )
+from dsrc.data.formats.osi import OsiTraces
 from dsrc.data.jsonio import encode_json, read_json
 from dsrc.options.drives import ConvertOptions
 from dsrc.options.fields import takes_fields
@@ -40,7 +41,7 @@ from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import remove_leftovers, replacing, write_file
 
-Format = Literal["opv2v", "compact", "dair", "kitti", "mcap"]
+Format = Literal["opv2v", "compact", "dair", "kitti", "mcap", "osi", "osi-mcap"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
 CONVERSION = "conversion.json"
@@ -98,8 +99,8 @@ class ConvertJob:
 def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | None = None) -> Path:
     """Write the drives at or below a folder in another format; an interrupted run resumes.
 
-    DAIR-V2X-C has one ego, its vehicle's side, and KITTI a frame for each chosen agent; OPV2V, compact or not, and MCAP
-    hold all agents.
+    DAIR-V2X-C has one ego, its vehicle's side, and KITTI a frame for each chosen agent; OPV2V, compact or not, MCAP
+    and OSI hold all agents.
 
     Args:
         options: drives, folder, format and what is written, see `ConvertOptions`; or these as arguments.
@@ -182,7 +183,7 @@ def _check_options(options: ConvertOptions) -> None:
     to, agent, view = options.to, options.agent_id, options.view
     if to not in FORMATS:
         raise SettingsError(complaint("convert", "to", "a format", to, did_you_mean(to, FORMATS)))
-    if agent is not None and to in ("opv2v", "compact", "mcap"):
+    if agent is not None and to not in ("dair", "kitti"):
         raise SettingsError(f"convert: --to {to} holds all agents; leave out --agent-id")
     if agent is not None and agent not in (_EGO, _ALL) and not re.fullmatch(r"-?\d{1,10}", agent):
         raise SettingsError(complaint("convert", "agent_id", "ego, all or the id of an agent", agent))
@@ -378,10 +379,40 @@ class _Mcap(_Writer):
         return self.out / f"{source.name}.mcap"
 
 
+class _Osi(_Writer):
+    """Traces for each drive."""
+
+    _open: OsiTraces | None = None
+    _ending = ""
+
+    def done(self, source: Source, i: int) -> bool:
+        path = self._path(source)
+        return path.is_file() or any(path.glob("*_gt_*.osi"))  # the ground truth is the last file to appear
+
+    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
+        if self._open is None:
+            self._open = OsiTraces(self._path(source), len(drive))
+        self._open.write(_compensated(source, frame))
+        if i + 1 == len(drive):
+            self._open.close()
+            self._open = None
+
+    def _path(self, source: Source) -> Path:
+        return self.out / f"{source.name}{self._ending}"
+
+
+class _OsiMcap(_Osi):
+    """One MCAP for each drive."""
+
+    _ending = ".mcap"
+
+
 _WRITERS: dict[Format, Callable[[Path, Conversion], _Writer]] = {
     "opv2v": _Opv2v,
     "compact": _Compact,
     "dair": _Dair,
     "kitti": _Kitti,
     "mcap": _Mcap,
+    "osi": _Osi,
+    "osi-mcap": _OsiMcap,
 }
