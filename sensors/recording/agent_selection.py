@@ -5,14 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.boxes import CLASSES
 from sim.errors import ScenarioError, complaint, did_you_mean
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
-
-CARRIERS = ("car", "van")
-"""Classes that may carry a LiDAR: the published detection ranges (3 m below to 1 m above the sensor) lose the ground
-and every box from a sensor on the roof of a truck or bus."""
+from sim.traffic.staying import carrier_ids, staying_ids
 
 _NEARLY_BEST = 0.9
 
@@ -65,7 +61,7 @@ def nearest_agents(actors: Actors, scenario: Scenario, ego_id: int) -> list[int]
         helpers = [int(ids[actors.name.index(name)]) for name in rule.named if name in actors.name]
     else:
         distance = np.linalg.norm(actors.boxes.center[:, :2] - actors.boxes.center[actors.row(ego_id), :2], axis=1)
-        fit = np.isin(ids, _candidates(actors, scenario)) & (distance <= rule.within_m) & (ids != ego_id)
+        fit = np.isin(ids, carrier_ids(actors, scenario)) & (distance <= rule.within_m) & (ids != ego_id)
         nearest = np.flatnonzero(fit)[np.argsort(distance[fit], kind="stable")]
         helpers = ids[nearest[: max(rule.vehicles - 1, 0)]].tolist()
     return [ego_id, *(helper for helper in helpers if helper != ego_id)]
@@ -84,23 +80,6 @@ def _named(drive: Sequence[Actors], scenario: Scenario) -> list[int]:
             found = f"'{name}', which leaves before frame {left[0]}"
             raise ScenarioError(complaint(scenario.name, "agents.named", expected, found))
     return chosen
-
-
-def staying_ids(drive: Sequence[Actors], scenario: Scenario) -> NDArray[np.int64]:
-    """Return the ids of the vehicles inside the area at every instant, ascending."""
-    ids = _candidates(drive[0], scenario)
-    for actors in drive[1:]:
-        ids = np.intersect1d(ids, _candidates(actors, scenario), assume_unique=True)
-    return ids
-
-
-def _candidates(actors: Actors, scenario: Scenario) -> NDArray[np.int64]:
-    chosen = np.isin(actors.boxes.label, [CLASSES.index(name) for name in CARRIERS]) & ~actors.parked()
-    if scenario.network.area_m is not None:
-        x_min, y_min, x_max, y_max = scenario.network.area_m
-        x, y = actors.boxes.center[:, 0], actors.boxes.center[:, 1]
-        chosen = chosen & (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
-    return actors.boxes.object_id[chosen]
 
 
 def _partners(

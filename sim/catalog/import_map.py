@@ -1,32 +1,48 @@
-"""Map import: a scenario folder with scenario.toml, converted network and roadside objects."""
+"""Map import: a scenario folder with scenario.toml, converted network and roadside objects.
 
+Area, demand and agents are chosen such that a drive can be made with each of ten seeds, tried by `sim.catalog.dry_run`.
+"""
+
+import logging
 import re
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
+
+from sim.catalog.dry_run import STAY_S, carried, least_traffic, longest_stay, rates
 from sim.errors import ScenarioError, complaint
 from sim.reading import parsing
 from sim.roads.convert import ConvertedMap, convert_map, map_kind
-from sim.roads.focus import JunctionArea, beside_junction, densest_junction
+from sim.roads.focus import PlaceArea, beside_road, busiest_place
+from sim.scenario import DemandSpec
 
+log = logging.getLogger(__name__)
+
+SEEDS = range(1, 11)
+"""Seeds whose drives an imported map must give."""
+
+_AGENTS = 3
 _OSM = "Map data (c) OpenStreetMap contributors, ODbL 1.0"
 
 
-def import_map(source: Path, name: str = "", out: Path | None = None) -> Path:
-    """Import a map as a scenario, with traffic around its busiest junction.
+def import_map(source: Path, name: str = "", out: Path | None = None, seeds: Sequence[int] = SEEDS) -> Path:
+    """Import a map as a scenario, with traffic around its busiest junction or on its longest road.
 
     Args:
         source: a .net.xml(.gz), an OpenStreetMap extract (.osm, .osm.gz, .osm.bz2, .osm.pbf) or OpenDRIVE (.xodr).
         name: of the scenario; default: from the file.
         out: folder to make; default: one of that name here.
+        seeds: seeds whose drives must be possible.
 
     Returns:
         The folder: `dsrc generate FOLDER` takes it.
 
     Raises:
-        ScenarioError: the file is missing, of an unknown format, refused by netconvert or without a road for cars; or
-            the folder is not empty.
+        ScenarioError: the file is missing, of an unknown format, refused by netconvert, without a road for cars, or
+            its roads are too short for a drive; or the folder is not empty.
     """
     source = Path(source)
     kind = map_kind(source)
@@ -42,26 +58,68 @@ def import_map(source: Path, name: str = "", out: Path | None = None) -> Path:
         made.mkdir()
         found = convert_map(source, made)
         with parsing(source, "map", ScenarioError):
-            (made / "scenario.toml").write_text(_scenario(source, kind, name, found), encoding="utf-8")
+            _write_scenario(made / "scenario.toml", source, name, found, seeds)
         if folder.is_dir():
             folder.rmdir()
         shutil.move(made, folder)
     return folder
 
 
-def _scenario(source: Path, kind: str, name: str, found: ConvertedMap) -> str:
+def _write_scenario(path: Path, source: Path, name: str, found: ConvertedMap, seeds: Sequence[int]) -> None:
+    """Write a scenario whose demand and agents hold for every seed."""
     from sim.roads.networks import read_network
-    from sim.roads.polygons import has_buildings
 
     focus = None
     if "<edge " in found.net.read_text(encoding="utf-8"):
         net = read_network(found.net)
-        focus = densest_junction(net)
+        focus = busiest_place(net)
     if focus is None:
         raise ScenarioError(complaint(source, "map", "a road for cars", "none"))
-    unit = beside_junction(net, focus.xy)
+    kept = carried(net, focus)
+    if "car" not in kept.type_mix:
+        raise ScenarioError(complaint(source, "map", "a route for cars", "none"))
+    unit = beside_road(net, focus.xy)
+
+    def write(vehicles_per_hour: float, vehicles: int) -> None:
+        demand = msgspec.structs.replace(kept, vehicles_per_hour=vehicles_per_hour)
+        path.write_text(_scenario(source, name, found, focus, demand, vehicles, unit), encoding="utf-8")
+
+    rate = 0.0
+    for rate in rates(net, focus, kept):
+        write(rate, _AGENTS)
+        if least_traffic(path, seeds, _AGENTS)[0] >= _AGENTS:
+            return
+    staying, seen = least_traffic(path, seeds, 0)
+    if staying < 1 and (unit is None or seen < 1):
+        expected = f"cars that stay in the area for {STAY_S:g} s with each of the seeds {seeds[0]} to {seeds[-1]}"
+        raise ScenarioError(complaint(source, "map", expected, longest_stay(net, focus)))
+    write(rate, min(staying, _AGENTS))
+    if staying < _AGENTS:
+        log.warning("%s: %s", source.name, _few(staying))
+
+
+def _few(vehicles: int) -> str:
+    if vehicles == 0:
+        return f"the roadside unit is the only agent, since no car is sure to stay in the area for {STAY_S:g} s"
+    return f"{vehicles} connected vehicle{'s' if vehicles > 1 else ''} in place of {_AGENTS}: no more are sure to stay"
+
+
+def _scenario(
+    source: Path,
+    name: str,
+    found: ConvertedMap,
+    focus: PlaceArea,
+    demand: DemandSpec,
+    vehicles: int,
+    unit: tuple[float, float, float] | None,
+) -> str:
+    """Return the text of a scenario.toml."""
+    from sim.roads.polygons import has_buildings
+
+    kind = map_kind(source)
     mapped = found.polygons is not None and has_buildings(found.polygons)
     area = ", ".join(f"{value:.1f}" for value in focus.area_m)
+    mix = ", ".join(f"{label} = {weight:g}" for label, weight in demand.type_mix.items())
     lines = [
         f'name = "{name}"',
         f'description = "Imported from {source.name.translate(str.maketrans("", "", chr(34) + chr(92)))}."',
@@ -77,10 +135,17 @@ def _scenario(source: Path, kind: str, name: str, found: ConvertedMap) -> str:
         f"area_m = [{area}]",
         *([] if mapped else ["front_gardens = 0.4"]),
         "",
-        *_demand(focus),
+        "[demand]",
+        f"vehicles_per_hour = {demand.vehicles_per_hour:.1f}",
+        f"bicycles_per_hour = {demand.bicycles_per_hour}",
+        f"persons_per_hour = {demand.persons_per_hour}",
+        *([f"type_mix = {{ {mix} }}"] if demand.type_mix != DemandSpec().type_mix else []),
+        f"focus_m = [{focus.xy[0]}, {focus.xy[1]}]",
+        f"max_vehicles = {demand.max_vehicles}",
+        f"parked_per_km = {demand.parked_per_km}",
         "",
         "[agents]",
-        "vehicles = 3",
+        f"vehicles = {vehicles}",
         'lidar = "opv2v-64"',
         "within_m = 80.0",
     ]
@@ -88,24 +153,10 @@ def _scenario(source: Path, kind: str, name: str, found: ConvertedMap) -> str:
         lines += [
             "",
             "[[agents.roadside]]",
-            "# Beside the junction, facing it.",
+            "# Beside the road, facing the focus.",
             f"xyz_m = [{unit[0]}, {unit[1]}, 5.0]",
             f"yaw_deg = {unit[2]}",
             "pitch_deg = 15.0",
             'lidar = "dair-roadside"',
         ]
     return "\n".join(lines) + "\n"
-
-
-def _demand(focus: JunctionArea) -> list[str]:
-    """Return the demand that the lanes of the area can carry."""
-    vehicles = min(max(450.0 * focus.lanes_km, 600.0), 3000.0)
-    return [
-        "[demand]",
-        f"vehicles_per_hour = {round(vehicles, -2):.1f}",
-        f"bicycles_per_hour = {80.0 if focus.cycle else 0.0}",
-        f"persons_per_hour = {300.0 if focus.walk else 0.0}",
-        f"focus_m = [{focus.xy[0]}, {focus.xy[1]}]",
-        "max_vehicles = 120",
-        "parked_per_km = 60.0",
-    ]

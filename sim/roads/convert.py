@@ -116,6 +116,10 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
             maps = _type_maps(*_OSM_TYPES)
             options = _FROM_OSM | {"osm-files": str(osm), "type-files": maps, "osm.elevation": _has_heights(osm)}
         run_tool("netconvert", options | {"output-file": str(net)}, net, str(source))
+        if "osm-files" in options and "<edge " not in net.read_text(encoding="utf-8"):
+            # A street alone counts as isolated too.
+            alone: dict[str, Option] = {"remove-edges.isolated": False, "output-file": str(net)}
+            run_tool("netconvert", options | alone, net, str(source))
         if "osm-files" in options:
             _polygons(source, Path(str(options["osm-files"])), folder, Path(work))
     with parsing(source, f"{kind} file", ScenarioError):

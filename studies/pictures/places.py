@@ -16,7 +16,6 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
-from sensors.recording.agent_selection import CARRIERS
 from sensors.scan.scene import RayScene
 from sim.bodies.choice import body_mesh
 from sim.boxes import CLASSES
@@ -26,6 +25,7 @@ from sim.mesh.materials import MATERIALS
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.open import open_traffic
+from sim.traffic.staying import CARRIERS
 from sim.world.build import build_world
 
 SIZE = (880, 500)

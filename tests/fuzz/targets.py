@@ -238,7 +238,7 @@ def _maps(folder: Path) -> list[Target]:
 
     def imported(path: Path) -> object:
         with tempfile.TemporaryDirectory(dir=folder) as made:
-            return import_map(path, name="town", out=Path(made) / "town")
+            return import_map(path, name="town", out=Path(made) / "town", seeds=(1,))
 
     return [
         Target("SUMO network", net, lambda path: read_network(path).getEdges(), "text"),

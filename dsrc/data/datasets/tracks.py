@@ -8,10 +8,10 @@ import shapely
 import trimesh
 
 from dsrc.data.simulate import TRAFFIC_LOG, WORLD
-from sensors.recording.agent_selection import staying_ids
 from sim.errors import DataError, complaint
 from sim.mesh.solids import Height, carpet, join, to_mesh
 from sim.scenario import AgentRule, Scenario
+from sim.traffic.staying import staying_ids
 from sim.traffic.tracks.base import STEP_S, Recording, to_log
 from sim.traffic.tracks.open import read_tracks
 from sim.world.world_file import save_world, shapes_of

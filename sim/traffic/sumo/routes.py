@@ -1,6 +1,6 @@
 """Candidate routes through a network or an area of it, and connected footways."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,6 +21,12 @@ MARGIN_M = 150.0
 _ANYWHERE = 60
 """Approximate number of trip ends in an area without gates."""
 
+_ROUND_S = 60.0
+"""Least duration of a round trip, which takes as many laps as that needs, s."""
+
+_COVERED = 0.4
+"""Least share of the streets of an area on routes from gate to gate; with less, trips begin and end inside too."""
+
 FOCUS_M = 40.0
 """Distance from the focus at which a trip is e times less likely, m."""
 
@@ -38,8 +44,9 @@ def candidate_routes(net: Network, vclass: str, area: Area | None, focus: tuple[
     """Return the fastest routes between the gates of an area that touch it.
 
     A gate is an edge where traffic enters or leaves: one without a predecessor, or a successor, within the zone (the
-    area and a margin). Where no route leads from gate to gate, as in a ring, traffic begins and ends anywhere. A route
-    is the likelier the more lanes its gates have and the nearer it passes to the focus.
+    area and a margin). A road that joins no other is a route of its own. Where the routes from gate to gate leave most
+    streets of the area empty, as in a ring or a closed town, traffic begins and ends anywhere. A route is the likelier
+    the more lanes its ends have and the nearer it passes to the focus.
 
     Args:
         vclass: SUMO's class of the vehicles.
@@ -56,42 +63,71 @@ def candidate_routes(net: Network, vclass: str, area: Area | None, focus: tuple[
     followed, preceded = {a for a, _ in links}, {b for _, b in links}
     origins = [row for row in range(len(edges)) if row not in preceded and row in followed]
     goals = [row for row in range(len(edges)) if row not in followed and row in preceded]
-    if not links:
-        return Routes((), np.zeros(0))
-    cost = [edges[b].getLength() / edges[b].getSpeed() + 0.1 for _, b in links]
-    graph = csr_matrix((cost, tuple(np.array(links).T)), shape=(len(edges), len(edges)))
-    routes = _between(edges, graph, origins, goals, area, focus)
-    if routes.edges:
-        return routes
-    anywhere = list(range(0, len(edges), max(1, len(edges) // _ANYWHERE)))
-    return _between(edges, graph, anywhere, anywhere, area, focus)
+    shapes = [LineString([p[:2] for p in e.getShape()]) for e in edges]
+    if links:
+        cost = [edges[b].getLength() / edges[b].getSpeed() + 0.1 for _, b in links]
+        graph = csr_matrix((cost, tuple(np.array(links).T)), shape=(len(edges), len(edges)))
+        anywhere = list(range(0, len(edges), max(1, len(edges) // _ANYWHERE)))
+        for starts, ends, round_trips in (
+            (origins, goals, False),
+            (anywhere, anywhere, False),
+            (anywhere, anywhere, True),
+        ):
+            paths = _paths(edges, graph, starts, ends, round_trips=round_trips)
+            routes = _weighted(edges, shapes, paths, area, focus)
+            if routes.edges and (starts is anywhere or _covered(edges, shapes, routes, area) >= _COVERED):
+                return routes
+    alone = [[row] for row in range(len(edges)) if row not in followed and row not in preceded]
+    return _weighted(edges, shapes, alone, area, focus)
 
 
-def _between(
+def _paths(
+    edges: Sequence[Edge], graph: csr_matrix, origins: list[int], goals: list[int], *, round_trips: bool
+) -> Iterator[list[int]]:
+    """Yield the fastest paths of two edges or more from any origin to any goal, by rows of the edges.
+
+    Args:
+        round_trips: paths may end where they begin, and then take several laps.
+    """
+    if not origins or not goals:
+        return
+    _, before = dijkstra(graph, indices=origins, return_predecessors=True)
+    for start, tree in zip(origins, before, strict=True):
+        for goal in goals:
+            closed = edges[goal].getToNode() is edges[start].getFromNode()
+            if closed and not round_trips:
+                continue
+            path = _trace(tree, start, goal)
+            if len(path) > 1:
+                lap_s = sum(edges[row].getLength() / edges[row].getSpeed() for row in path)
+                yield path * max(1, int(np.ceil(_ROUND_S / lap_s))) if closed and graph[goal, start] > 0 else path
+
+
+def _weighted(
     edges: Sequence[Edge],
-    graph: csr_matrix,
-    origins: list[int],
-    goals: list[int],
+    shapes: Sequence[LineString],
+    paths: Iterable[list[int]],
     area: Area | None,
     focus: tuple[float, float] | None,
 ) -> Routes:
-    """Return the routes from any start edge to any goal edge, given by rows."""
-    if not origins or not goals:
-        return Routes((), np.zeros(0))
-    _, before = dijkstra(graph, indices=origins, return_predecessors=True)
-    shapes = [LineString([p[:2] for p in e.getShape()]) for e in edges]
+    """Return the paths that touch the area as routes with their probabilities."""
+    inside = [area is None or shape.intersects(box(*area)) for shape in shapes]
+    off = [shape.distance(Point(focus)) if focus else 0.0 for shape in shapes]
     found, weight = [], []
-    for start, tree in zip(origins, before, strict=True):
-        for goal in goals:
-            if edges[goal].getToNode() is edges[start].getFromNode():
-                continue  # no round trips
-            path = _trace(tree, start, goal)
-            if len(path) > 1 and (area is None or any(shapes[row].intersects(box(*area)) for row in path)):
-                off = min(shapes[row].distance(Point(focus)) for row in path) if focus else 0.0
-                found.append(tuple(edges[row].getID() for row in path))
-                weight.append(edges[start].getLaneNumber() * edges[goal].getLaneNumber() * np.exp(-off / FOCUS_M))
-    total = np.array(weight) / max(np.sum(weight), 1e-300)
-    return Routes(tuple(found), total)
+    for path in paths:
+        if any(inside[row] for row in path):
+            found.append(tuple(edges[row].getID() for row in path))
+            lanes = edges[path[0]].getLaneNumber() * edges[path[-1]].getLaneNumber()
+            weight.append(lanes * np.exp(-min(off[row] for row in path) / FOCUS_M))
+    return Routes(tuple(found), np.array(weight) / max(np.sum(weight), 1e-300))
+
+
+def _covered(edges: Sequence[Edge], shapes: Sequence[LineString], routes: Routes, area: Area | None) -> float:
+    """Return the share of the length of all edges inside the area that lies on a route."""
+    used = {name for route in routes.edges for name in route}
+    length = [shape.length if area is None else shape.intersection(box(*area)).length for shape in shapes]
+    on_routes = sum(one for one, edge in zip(length, edges, strict=True) if edge.getID() in used)
+    return on_routes / max(sum(length), 1e-9)
 
 
 @lru_cache(maxsize=8)

@@ -112,7 +112,7 @@ def packed_file(path: Path) -> None:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("town")
     (base / "town.osm").write_text(town(), encoding="utf-8")
-    return import_map(base / "town.osm", out=base / "made")
+    return import_map(base / "town.osm", out=base / "made", seeds=(1, 2))
 
 
 def test_an_extract_becomes_a_scenario_around_its_junction(folder: Path) -> None:
@@ -161,7 +161,7 @@ def test_trees_lamps_poles_hedges_fences_and_walls_stand_where_the_map_has_them(
 def test_one_map_makes_the_same_bytes_every_time(folder: Path, tmp_path: Path) -> None:
     source = tmp_path / "town.osm"
     source.write_text(town(), encoding="utf-8")
-    again = import_map(source, out=tmp_path / "again")
+    again = import_map(source, out=tmp_path / "again", seeds=(1, 2))
     assert [path.name for path in sorted(again.iterdir())] == ["map.net.xml", "map.poly.xml", "scenario.toml"]
     for path in again.iterdir():
         assert path.read_bytes() == (folder / path.name).read_bytes()
@@ -173,7 +173,7 @@ def test_a_packed_extract_is_the_same_map(
 ) -> None:
     source = tmp_path / f"town{ending}"
     source.write_bytes(pack(town().encode()))
-    made = import_map(source, out=tmp_path / "made")
+    made = import_map(source, out=tmp_path / "made", seeds=(1,))
     for name in ("map.net.xml", "map.poly.xml"):
         assert (made / name).read_bytes() == (folder / name).read_bytes()
 
@@ -210,7 +210,7 @@ def test_a_binary_extract_has_a_largest_size(tmp_path: Path, monkeypatch: pytest
 
 def test_roads_and_ground_follow_the_heights_of_an_extract(tmp_path: Path) -> None:
     (tmp_path / "hill.osm").write_text(town(heights=True), encoding="utf-8")
-    scenario = load_scenario(import_map(tmp_path / "hill.osm", out=tmp_path / "hill"))
+    scenario = load_scenario(import_map(tmp_path / "hill.osm", out=tmp_path / "hill", seeds=(1,)))
     net = read_network(resolve_network(scenario, 1))
     heights = [corner[2] for edge in net.getEdges(False) for lane in edge.getLanes() for corner in lane.getShape3D()]
     assert np.ptp(heights) == pytest.approx(25.0, abs=2.0)
@@ -224,7 +224,7 @@ def test_a_network_of_sumo_keeps_its_heights_and_its_streets(tmp_path: Path) -> 
     source = Path(hilly_scenario(tmp_path).network.file)
     packed = tmp_path / "hilly.net.xml.gz"
     packed.write_bytes(gzip.compress(source.read_bytes()))
-    made = import_map(packed, out=tmp_path / "made")
+    made = import_map(packed, out=tmp_path / "made", seeds=(1,))
     ours, theirs = (read_network(path) for path in (made / "map.net.xml", source))
     assert {edge.getID() for edge in ours.getEdges(False)} == {edge.getID() for edge in theirs.getEdges(False)}
     for edge in theirs.getEdges(False):
@@ -242,7 +242,7 @@ def test_an_opendrive_file_comes_back_as_the_streets_it_was_written_from(tmp_pat
     xodr = tmp_path / "hilly.xodr"
     command = [str(sumo_home() / "bin" / "netconvert"), "-s", str(source), "--opendrive-output", str(xodr)]
     subprocess.run(command, check=True, capture_output=True)
-    scenario = load_scenario(import_map(xodr, name="hills", out=tmp_path / "made"))
+    scenario = load_scenario(import_map(xodr, name="hills", out=tmp_path / "made", seeds=(1,)))
     assert scenario.name == "hills" and not scenario.attribution
     ours = read_network(resolve_network(scenario, 1))
     lanes = [lane for edge in ours.getEdges(False) for lane in edge.getLanes() if lane.allows("passenger")]
