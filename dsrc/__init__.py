@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from dsrc.data.drives import Drive, open_drive, open_drives
     from dsrc.data.sample import Sample, SampleRequest, make_sample
     from dsrc.data.write import generate, simulate_frames
+    from dsrc.detectors.check import check_detector
+    from dsrc.detectors.open import open_detector
     from dsrc.evaluation.evaluate import evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
     from dsrc.evaluation.scoring.report import score_table
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from dsrc.models.fusion_check import check_fusion
     from dsrc.models.storage.checkpoint import load_detector
     from dsrc.ops.detections import Detections
+    from dsrc.ops.grid import GridSpec
     from dsrc.options.detection import Evaluation
     from dsrc.review.page.output.export import export_html
     from sensors.corruptions import check_corruption, corrupt_frame, kinds_of, register_corruption
@@ -72,6 +75,8 @@ _MODULES = {
     "dsrc.data.drives": ("Drive", "open_drive", "open_drives"),
     "dsrc.data.sample": ("Sample", "SampleRequest", "make_sample"),
     "dsrc.data.write": ("generate", "simulate_frames"),
+    "dsrc.detectors.check": ("check_detector",),
+    "dsrc.detectors.open": ("open_detector",),
     "dsrc.evaluation.evaluate": ("evaluate_drives",),
     "dsrc.evaluation.report.ap_table": ("result_table",),
     "dsrc.evaluation.scoring.report": ("score_table",),
@@ -81,6 +86,7 @@ _MODULES = {
     "dsrc.models.fusion_check": ("check_fusion",),
     "dsrc.models.storage.checkpoint": ("load_detector",),
     "dsrc.ops.detections": ("Detections",),
+    "dsrc.ops.grid": ("GridSpec",),
     "dsrc.options.detection": ("Evaluation",),
     "dsrc.review.page.output.export": ("export_html",),
     "sensors.corruptions": ("check_corruption", "corrupt_frame", "kinds_of", "register_corruption"),
@@ -134,12 +140,14 @@ __all__ = [
     "corrupt_frame",
     "CorruptTransform",
     # detection
+    "open_detector",
     "load_detector",
     "Detector",
     "detect",
     "Detections",
     "Sample",
     "SampleRequest",
+    "GridSpec",
     "make_sample",
     "Evaluation",
     "evaluate_drives",
@@ -175,6 +183,7 @@ __all__ = [
     "AgentLayout",
     "register_fusion",
     "check_fusion",
+    "check_detector",
     "UserError",
 ]
 

@@ -2,6 +2,7 @@
 
 Usage:
     python examples/02_own_detector.py
+    cd examples && dsrc evaluate ../data/test --checkpoint 02_own_detector:Clusters --out ../results
     python examples/02_own_detector.py --scenario lta_truck --seed 2
 """
 

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from dsrc.cli.progress import progress
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
+from dsrc.detectors.texts import SHIPPED_DETECTOR
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector

@@ -1,4 +1,4 @@
-"""Examples: ten short scripts, each of which prints at once."""
+"""Examples: eleven short scripts, each of which prints at once."""
 
 import ast
 from pathlib import Path
@@ -20,6 +20,7 @@ SMALL = {
     "08_gymnasium": (("--steps", "2"), "2 steps, return "),
     "09_train": (("--epochs", "1", "--frames", "1"), "above the score threshold"),
     "10_review": (("--frames", "1"), "opens in any browser"),
+    "11_detector_process": (("--test",), "boxes"),
 }
 """Arguments that make an example fast, and a part of what it prints."""
 

@@ -54,9 +54,9 @@ def run_demo(out: Path, quick: bool = False) -> None:
     from rich.console import Console
 
     from dsrc.closed_loop.campaign.run import drive_episodes
-    from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
     from dsrc.closed_loop.report.terminal import summary_table
     from dsrc.data.write import generate
+    from dsrc.detectors.texts import SHIPPED_DETECTOR
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
     from dsrc.review.page.output.export import export_html
@@ -80,7 +80,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
         config = Evaluation(checkpoint=checkpoints, data=out / "test", out=out / "results")
         table = result_table(evaluate_drives(config, Pool(), report))
     with progress("review page") as report:
-        page = export_html(out / "test", out / "review.html", checkpoint=dsrc)
+        page = export_html(out / "test", out / "review.html", checkpoint=str(dsrc))
         picture = draw(page, out / "review.png") if find_chromium() else None
         report(1, 1)
     with progress(f"drive {ENCOUNTER} with four views of it") as report:

@@ -29,7 +29,7 @@ class CellSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of a cell: everything that decides its bytes.
 
     Attributes:
-        detector: SHA-256 of the detector file.
+        detector: SHA-256 of the detector, see `dsrc.detectors.open.detector_sha256`.
         use: changed settings of the detector.
         drive: name of the drive, which its seed depends on.
         data: hash of the drive.

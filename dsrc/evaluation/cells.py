@@ -3,25 +3,23 @@
 All that this module imports, at any depth, is hashed into the keys of cells, see `sim.kept.code_hash`.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-
-import msgspec
+from typing import cast
 
 from dsrc.data.drives import Drive, open_drive
+from dsrc.data.sample import SampleDetector
+from dsrc.detectors.open import detector_sha256, open_detector
+from dsrc.detectors.process import ProcessDetector
 from dsrc.evaluation.cache import CellSettings, write_cell
 from dsrc.evaluation.detect import Method, evaluate_drive
-from dsrc.models.detector import Detector
 from dsrc.models.device import one_thread
-from dsrc.models.settings import ModelSettings
-from dsrc.models.storage.checkpoint import load_student
+from dsrc.options.detection import Device
 from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import Condition
-from sim.errors import SettingsError
+from sim.errors import DataError, complaint
 from sim.radio import ChannelSpec
-from sim.settings import convert
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +28,7 @@ class CellJob:
 
     Attributes:
         settings: of the cell.
-        path: detector file.
+        text: detector, as `open_detector` takes it.
         drive: path of the drive.
         condition: of the sweeps.
         agents: most agents that take part; None for the detector's own number.
@@ -38,7 +36,7 @@ class CellJob:
     """
 
     settings: CellSettings
-    path: Path
+    text: str
     drive: Path
     condition: Condition
     agents: int | None
@@ -63,38 +61,22 @@ def make_cells(unit: Unit[CellJob], progress: Progress) -> None:
         write_cell(unit.folder, job.settings, results[first.condition, key])
 
 
-def load_adjusted(path: Path, use: Mapping[str, bool | int | float | str], engine: str = "fused") -> Detector:
-    """Load a detector file, with some of its settings changed.
-
-    Args:
-        use: changes, see `MethodSpec`.
-        engine: one of `dsrc.models.storage.deploy.ENGINES`.
-
-    Raises:
-        CheckpointError: the file is missing, damaged or a teacher's.
-        SettingsError: a setting is out of its range, contradicts the others, or the engine is unknown.
-    """
-    detector = load_student(path, engine=engine)
-    if use:
-        changed = {**msgspec.to_builtins(detector.settings), **use}
-        settings = convert(changed, ModelSettings, f"{path}: use", SettingsError)
-        try:
-            detector.settings = settings
-        except ValueError as error:
-            raise SettingsError(f"{path}: use: {' '.join(str(error).split())}") from None
+def detector_of(job: CellJob) -> SampleDetector:
+    """Return the detector of a cell, opened once per process."""
+    settings, use = job.settings, tuple(sorted(job.settings.use.items()))
+    detector = _opened(job.text, settings.detector, use, settings.engine, cast(Device, settings.device))
+    if isinstance(detector, ProcessDetector) and detector_sha256(job.text, detector) != settings.detector:
+        expected = "the detector as it was when the evaluation began"
+        raise DataError(complaint(job.text, "name", expected, detector.name))
     return detector
 
 
-def detector_of(job: CellJob) -> Detector:
-    """Return the detector of a cell, loaded once per process."""
-    settings, use = job.settings, tuple(sorted(job.settings.use.items()))
-    return _loaded(job.path, settings.detector, use, settings.engine).to(settings.device)
-
-
 @lru_cache(maxsize=64)
-def _loaded(path: Path, sha256: str, use: tuple[tuple[str, bool | int | float | str], ...], engine: str) -> Detector:
-    """Return a detector; the key has the file's hash, so that a changed file is loaded again."""
-    return load_adjusted(path, dict(use), engine)
+def _opened(
+    text: str, sha256: str, use: tuple[tuple[str, bool | int | float | str], ...], engine: str, device: Device
+) -> SampleDetector:
+    """Return a detector; the key has its hash, so that a changed one is opened again."""
+    return open_detector(text, device, engine, dict(use))
 
 
 @lru_cache(maxsize=4)

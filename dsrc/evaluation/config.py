@@ -47,6 +47,7 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
+from dsrc.detectors.texts import NO_COMMAND, is_there, kind_of, split_name, stem_of
 from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions, Comparison
 from dsrc.options.fields import RENAMED
@@ -70,7 +71,7 @@ class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     Attributes:
         name: in tables.
-        detectors: detector files, one for each training of the method.
+        detectors: detectors, one for each training of the method; see `dsrc.detectors.open`.
         use: changed model settings, of `IN_USE`: the same detectors that send less, or that correct poses, are another
             method. With `judged_by = "opencood"` the `ap_opencood` of a method is OpenCOOD's number, see
             `dsrc.data.sample.JudgedBy`.
@@ -210,6 +211,9 @@ def read_benchmark(path: Path) -> Benchmark:
         beside = path.parent / name
         return str(beside if beside.exists() else name)
 
+    for method in plan.methods:
+        if any(kind_of(text) == "pipe" for text in method.detectors):
+            raise SettingsError(complaint(path, f"methods.{method.name}.detectors", NO_COMMAND, method.detectors[0]))
     methods = tuple(replace(m, detectors=tuple(map(found, m.detectors))) for m in plan.methods)
     datasets = tuple(replace(d, drives=tuple(map(found, d.drives))) for d in plan.datasets)
     plan = replace(plan, methods=methods, datasets=datasets)
@@ -264,20 +268,16 @@ def _grouped(field: str, texts: Sequence[str]) -> dict[str, list[str]]:
 
 
 def named(texts: Sequence[str]) -> list[tuple[str, str]]:
-    """Names and paths: the name of `name=path`, else the stem, with the folder before it where stems repeat."""
+    """Names and detectors or folders: the name of `name=text`, else its stem, after its folder where stems repeat."""
     split = [split_name(text) for text in texts]
-    stems = [Path(path).stem for name, path in split if not name]
+    stems = [stem_of(text) for name, text in split if not name]
 
-    def name_of(path: Path) -> str:
-        return path.stem if stems.count(path.stem) == 1 else f"{path.absolute().parent.name}/{path.stem}"
+    def name_of(text: str) -> str:
+        stem = stem_of(text)
+        in_folder = stems.count(stem) > 1 and kind_of(text) in ("file", "onnx")
+        return f"{Path(text).absolute().parent.name}/{stem}" if in_folder else stem
 
-    return [(name or name_of(Path(path)), path) for name, path in split]
-
-
-def split_name(text: str) -> tuple[str, str]:
-    """Name and path of `name=path`; "" and the path without a name. Folders may have a `=` in them."""
-    name, equals, path = text.partition("=")
-    return (name, path) if equals and path and not {"/", "\\"} & set(name) else ("", text)
+    return [(name or name_of(text), text) for name, text in split]
 
 
 def check(plan: Benchmark, where: str) -> None:
@@ -343,7 +343,7 @@ def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
     Raises:
         SettingsError: all files are missing.
     """
-    absent = [path for method in plan.methods for path in method.detectors if not Path(path).is_file()]
+    absent = [path for method in plan.methods for path in method.detectors if not is_there(path)]
     kept = [(method, tuple(path for path in method.detectors if path not in absent)) for method in plan.methods]
     methods = tuple(replace(method, detectors=paths) for method, paths in kept if paths)
     if not methods:

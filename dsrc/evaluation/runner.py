@@ -7,30 +7,31 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 
 from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.sample import DetectorSettings
+from dsrc.detectors.open import close_detector, detector_sha256, open_detector
+from dsrc.detectors.texts import kind_of
 from dsrc.evaluation.cache import CellSettings, read_cell, read_settings
-from dsrc.evaluation.cells import CellJob, load_adjusted, make_cells
+from dsrc.evaluation.cells import CellJob, make_cells
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
 from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
 from dsrc.evaluation.metrics.intervals import RankedDetections
 from dsrc.evaluation.results import Row, make_row
 from dsrc.models.fusion import FUSIONS
-from dsrc.models.settings import ModelSettings
+from dsrc.models.settings import fusion_of
 from dsrc.models.storage.checkpoint import read_meta
+from dsrc.options.detection import Device
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.runs.study import Study, reuse_entry
 from sim.errors import SettingsError, complaint
-from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, versions_with
-
-Device = Literal["cpu", "cuda"]
 
 CHUNK = 50
 """Frames of a unit of work, the most that an interruption loses."""
@@ -53,25 +54,40 @@ CELLS: Study[CellJob, MethodResult] = Study(
 
 @dataclass(frozen=True, slots=True)
 class TrainedDetector:
-    """Detector file of a method, one training of it.
+    """Detector of a method, one training of it.
 
     Attributes:
-        path: of the file.
-        sha256: of the file.
-        settings: of the network, as used.
+        text: as `open_detector` takes it.
+        sha256: see `detector_sha256`.
+        settings: of the detector, as used.
         seed: of the training; None where the file has none.
         use: changed settings, see `MethodSpec`.
         recipe: of the training; "" where the file has none.
         agents: most agents that take part, see `MethodSpec`.
     """
 
-    path: Path
+    text: str
     sha256: str
-    settings: ModelSettings
+    settings: DetectorSettings
     seed: int | None
     use: dict[str, bool | int | float | str]
     recipe: str = ""
     agents: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the file, or the text of a detector that is none."""
+        return Path(self.text).name if kind_of(self.text) in ("file", "onnx") else self.text
+
+    @property
+    def fusion(self) -> str:
+        """Fusion method; that of a detector of one's own is `early`, since it gets clouds."""
+        return fusion_of(self.settings)
+
+    @property
+    def most_agents(self) -> int:
+        """Most agents whose data it uses."""
+        return 1 if self.fusion == "none" else self.settings.request.max_agents
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,12 +161,12 @@ def run_plan(
         UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
     """
     check_device(plan.name, device)
-    trained = {m.name: [_trained(Path(path), m, engine) for path in m.detectors] for m in plan.methods}
+    trained = {m.name: [_trained(text, m, engine) for text in m.detectors] for m in plan.methods}
     for name, several in trained.items():
         for other in several[1:]:
             if other.settings != several[0].settings:
                 raise SettingsError(
-                    complaint(other.path, "settings", f"those of {several[0].path}, which is '{name}' too", "others")
+                    complaint(other.text, "settings", f"those of {several[0].text}, which is '{name}' too", "others")
                 )
     _check_judged_alike(plan, trained)
     datasets = {d.name: [r for folder in d.drives for r in _readers(folder)] for d in plan.datasets}
@@ -185,26 +201,29 @@ def check_device(what: str, device: Device) -> None:
         raise SettingsError(complaint(what, "device", "a GPU that torch can use", "none", "; use cpu"))
 
 
-def _trained(path: Path, method: MethodSpec, engine: str) -> TrainedDetector:
-    settings, meta = load_adjusted(path, method.use, engine).settings, read_meta(path)
+def _trained(text: str, method: MethodSpec, engine: str) -> TrainedDetector:
+    detector = open_detector(text, engine=engine, use=method.use)
+    sha256, settings = detector_sha256(text, detector), detector.settings
+    close_detector(detector)
+    meta = read_meta(Path(text)) if kind_of(text) == "file" else {}
     seed, recipe = meta.get("seed"), meta.get("settings")
     for name in ("recipe", "name"):
         recipe = recipe.get(name) if isinstance(recipe, Mapping) else None
     seed, recipe = seed if isinstance(seed, int) else None, recipe if isinstance(recipe, str) else ""
-    return TrainedDetector(path, file_sha256(path), settings, seed, method.use, recipe, method.agents)
+    return TrainedDetector(text, sha256, settings, seed, method.use, recipe, method.agents)
 
 
 def _check_judged_alike(plan: Benchmark, trained: Mapping[str, Sequence[TrainedDetector]]) -> None:
     """Check that both methods of a difference are judged on the same boxes."""
     for pair in plan.differences:
         found, wanted = trained[pair.method][0], trained[pair.baseline][0]
-        ranges = found.settings.request.judged_m, wanted.settings.request.judged_m
-        fields = ("users", "comm_range_m", "max_agents", "team_by", "judged_by")
-        pairs = [(name, getattr(found.settings, name), getattr(wanted.settings, name)) for name in fields]
-        for name, own, other in (("range", *ranges), *pairs):
-            if own != other:
-                expected = f"{other}, as its baseline '{pair.baseline}' has, for a difference on the same boxes"
-                raise SettingsError(complaint(found.path, name, expected, str(own)))
+        own, other = found.settings.request, wanted.settings.request
+        fields = ("users", "comm_range_m", "max_agents", "team_by", "keep_ego_box")
+        ranges = ("range", own.judged_m, other.judged_m)
+        for name, mine, theirs in (ranges, *((name, getattr(own, name), getattr(other, name)) for name in fields)):
+            if mine != theirs:
+                expected = f"{theirs}, as its baseline '{pair.baseline}' has, for a difference on the same boxes"
+                raise SettingsError(complaint(found.text, name, expected, str(mine)))
 
 
 def _readers(folder: str) -> list[Drive]:
@@ -236,7 +255,7 @@ class _CellPlanner:
     def of_case(self, case: Case) -> list[CellJob]:
         """Return the cells of a case, drive by drive, at most `CHUNK` frames each."""
         one = self.trained[case.method][case.training]
-        most = 1 if one.settings.fusion == "none" else one.settings.max_agents
+        most = one.most_agents
         agents = min(most, *(limit for limit in (case.agents, one.agents, most) if limit is not None))
         # The ego alone gets no message: the same through every channel.
         channel = case.spec() if agents > 1 else None
@@ -255,13 +274,13 @@ class _CellPlanner:
                     agents=agents,
                     device=self.device,
                     engine=self.engine,
-                    versions=versions_with(make_cells.__module__, FUSIONS[one.settings.fusion]),
+                    versions=versions_with(make_cells.__module__, FUSIONS[one.fusion]),
                     code=code_hash(make_cells.__module__),
                     condition=condition,
                     channel=listed,
                 )
-                limit = None if agents == one.settings.max_agents else agents
-                planned.append(CellJob(settings, one.path, reader.drive, case.condition, limit, channel))
+                limit = None if agents == one.settings.request.max_agents else agents
+                planned.append(CellJob(settings, one.text, reader.drive, case.condition, limit, channel))
         return planned
 
 

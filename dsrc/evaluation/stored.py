@@ -49,7 +49,7 @@ class StoredRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         kind, severity, family, who: condition of the sweeps, see `Condition`.
         channel: name of the radio channel.
         swept: other swept quantities and their values, as `2 agents`; "" for none.
-        detector: SHA-256 of the detector file.
+        detector: SHA-256 of the detector, see `dsrc.detectors.open.detector_sha256`.
         range_m: range of the detector's grid, in which boxes are evaluated, m.
         agents: most agents that take part.
         cells: keys of the cells of each drive, in the order of `StoredIndex.drives`; none for another dataset's.

@@ -163,36 +163,18 @@ class Detector(nn.Module):
     @cached_property
     def anchors(self) -> NDArray[np.float64]:
         """(h, w, 2, 7) anchors x, y, z, l, w, h, yaw."""
-        settings = self.settings
-        return anchor_grid(settings.grid, settings.head_stride, settings.users, settings.anchor_lwh)
+        return anchors_of(self.settings)
 
     @property
     def classes(self) -> tuple[str, ...]:
         """Classes of what is detected."""
-        return VEHICLES if self.settings.users == "vehicles" else VULNERABLE
+        return classes_of(self.settings)
 
     def decode(self, output: NetworkOutput) -> list[Detections]:
-        """Decode the heads' maps into detections in the range that counts, one `Detections` per row of the batch.
-
-        Boxes are right-handed, whatever frame the network was trained in.
-        """
-        settings = self.settings
-        post = PostSettings(
-            settings.score_threshold,
-            settings.nms_iou,
-            range_m=settings.request.judged_m,
-            max_extent_m=settings.max_extent_m,
-        )
+        """Decode the heads' maps, see `decode_maps`."""
         cls, reg = output.cls.detach().float().cpu().numpy(), output.reg.detach().float().cpu().numpy()
-        if settings.box_order == "hwl":
-            reg = reg.reshape(len(reg), 2, 7, *reg.shape[2:])[:, :, REFERENCE_ORDER].reshape(reg.shape)
-        if output.direction is not None:
-            second = output.direction.detach().float().cpu().numpy() > 0
-            start = settings.direction_start
-            reg = headed(reg, second) if start is None else in_half_turn(reg, second, self.anchors, start)
-        label = ANCHORS[settings.users].label
-        found = [decode_detections(c, r, self.anchors, post, label) for c, r in zip(cls, reg, strict=True)]
-        return [Detections(mirrored(f.boxes), f.score) for f in found] if settings.left_handed else found
+        direction = None if output.direction is None else output.direction.detach().float().cpu().numpy()
+        return decode_maps(cls, reg, direction, self.settings, self.anchors)
 
     @torch.inference_mode()
     def detect(self, sample: Sample) -> Detections:
@@ -220,6 +202,47 @@ class Detector(nn.Module):
         clouds = as_trained(sample, self.settings).clouds[:count]
         pillars = pillars_of(clouds, self.settings).to(self.cls_head.weight.device)
         return self.decode(self(pillars, AgentLayout((1,) * len(clouds))))
+
+
+def anchors_of(settings: ModelSettings) -> NDArray[np.float64]:
+    """Return (h, w, 2, 7) anchors x, y, z, l, w, h, yaw of a detector."""
+    return anchor_grid(settings.grid, settings.head_stride, settings.users, settings.anchor_lwh)
+
+
+def classes_of(settings: ModelSettings) -> tuple[str, ...]:
+    """Return the classes of what a detector detects."""
+    return VEHICLES if settings.users == "vehicles" else VULNERABLE
+
+
+def decode_maps(
+    cls: NDArray[np.float32],
+    reg: NDArray[np.float32],
+    direction: NDArray[np.float32] | None,
+    settings: ModelSettings,
+    anchors: NDArray[np.float64],
+) -> list[Detections]:
+    """Decode the heads' maps into detections in the range that counts, one `Detections` per row of the batch.
+
+    Boxes are right-handed, whatever frame the network was trained in.
+
+    Args:
+        cls: as in `NetworkOutput`, like those that follow.
+        anchors: see `anchors_of`.
+    """
+    post = PostSettings(
+        settings.score_threshold,
+        settings.nms_iou,
+        range_m=settings.request.judged_m,
+        max_extent_m=settings.max_extent_m,
+    )
+    if settings.box_order == "hwl":
+        reg = reg.reshape(len(reg), 2, 7, *reg.shape[2:])[:, :, REFERENCE_ORDER].reshape(reg.shape)
+    if direction is not None:
+        second, start = direction > 0, settings.direction_start
+        reg = headed(reg, second) if start is None else in_half_turn(reg, second, anchors, start)
+    label = ANCHORS[settings.users].label
+    found = [decode_detections(c, r, anchors, post, label) for c, r in zip(cls, reg, strict=True)]
+    return [Detections(mirrored(f.boxes), f.score) for f in found] if settings.left_handed else found
 
 
 def detect(detector: Detector, frame: Frame, ego_id: int | None = None, *, cooperative: bool = True) -> Detections:

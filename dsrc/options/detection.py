@@ -21,7 +21,9 @@ from dsrc.options.fields import (
     choice,
 )
 
-Checkpoints = Annotated[tuple[str, ...], arg(metavar="[NAME=]FILE [...]")]
+Checkpoint = Annotated[str, arg(metavar="[NAME=]DETECTOR")]
+"""A detector file, `FILE.onnx`, `module:Class`, `pipe:COMMAND ...` or `tcp://localhost:PORT`, see `dsrc.detectors`."""
+Checkpoints = Annotated[tuple[str, ...], arg(metavar="[NAME=]DETECTOR [...]")]
 Kinds = Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPTIONS), several=True)]
 Engine = Literal["fused", "bf16", "compiled", "plain"]
 AutoEngine = Literal["auto", "fused", "bf16", "compiled", "plain"]
@@ -54,7 +56,7 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
     """Options of an evaluation.
 
     Attributes:
-        checkpoint: detector files; NAME=FILE names a row.
+        checkpoint: detectors: files, ONNX files, module:Class, pipe:COMMAND or tcp://localhost:PORT; NAME= names a row.
         data: a drive, or a folder of drives.
         out: folder of results.csv, results.json, plots and cached cells with all detections, which dsrc view opens; an
             interrupted evaluation resumes.
@@ -87,7 +89,7 @@ class Sharing(Disturbed, frozen=True, kw_only=True):
     """Options of the shares of agents in detections.
 
     Attributes:
-        checkpoint: detector file.
+        checkpoint: detector, see dsrc evaluate.
         data: a drive, or a folder of drives.
         out: folder of shares.csv, shares.json, shares.png and cached cells; an interrupted run resumes.
         corruption: kinds of corruption beside clean frames; paper_six are those of the paper's tables; default: none.
@@ -101,7 +103,7 @@ class Sharing(Disturbed, frozen=True, kw_only=True):
             from them, which is recorded; default: none.
     """
 
-    checkpoint: File
+    checkpoint: Checkpoint
     data: Data
     out: Folder
     corruption: Kinds = ()
@@ -159,7 +161,7 @@ class BenchmarkOptions(Comparison, frozen=True, kw_only=True):
 
     Attributes:
         plan: TOML of the benchmark, in place of the options that describe one; default: the options.
-        checkpoint: detector files; NAME=FILE names a method, several files of one NAME are its trainings;
+        checkpoint: detectors, see dsrc evaluate; NAME= names a method, several of one NAME are its trainings;
             default: none.
         data: folders of drives, a dataset each; NAME=FOLDER names one; default: none.
         agents: numbers of agents to compare, such as 1 2 3 4 5; default: none.

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from dsrc.options.detection import AutoEngine
+from dsrc.options.detection import AutoEngine, Checkpoint
 from dsrc.options.fields import CORRUPTIONS, Corrupted, Data, File, Folder, choice
 
 ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
@@ -13,13 +13,13 @@ class Review(Corrupted, frozen=True, kw_only=True):
     """Options of any review page.
 
     Attributes:
-        checkpoint: detector file whose detections are drawn and matched; default: no detections.
+        checkpoint: detector whose detections are drawn and matched, see dsrc evaluate; default: no detections.
         corruption: corruption at the start.
         drives: folder of the drives of results or of a training, where they were moved; default: where they were.
         engine: execution of the network, see dsrc drive.
     """
 
-    checkpoint: File | None = None
+    checkpoint: Checkpoint | None = None
     corruption: Annotated[str, choice(("clean", *CORRUPTIONS))] = "clean"
     drives: Folder | None = None
     engine: AutoEngine = "auto"

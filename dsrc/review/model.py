@@ -219,7 +219,7 @@ def _no_boxes() -> dict[str, Boxes]:
 
 
 def open_model(
-    root: Path, checkpoint: Path | None = None, data: Path | None = None, engine: str = "auto"
+    root: Path, checkpoint: Path | str | None = None, data: Path | None = None, engine: str = "auto"
 ) -> ReviewModel:
     """Open what a path holds, see `open_sources`, and a detector.
 

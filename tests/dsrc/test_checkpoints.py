@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.data.write import generate
+from dsrc.detectors.texts import SHIPPED_DETECTOR
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.models.storage.checkpoint import load_detector, load_joined
 from dsrc.options.detection import Evaluation

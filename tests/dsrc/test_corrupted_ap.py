@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.data.write import generate
+from dsrc.detectors.texts import SHIPPED_DETECTOR
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.options.detection import Evaluation
 from sensors.corruptions import PAPER_SIX, SEVERITIES

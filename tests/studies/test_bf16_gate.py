@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
+from dsrc.detectors.texts import SHIPPED_DETECTOR
 from dsrc.models.storage.deploy import FLOAT32_ONLY, FusedConv
 from dsrc.tables.table import Table
 from sim.files import file_sha256

@@ -38,13 +38,13 @@ from dsrc.closed_loop.perception.open import (
     ALONE,
     LATE,
     MODELLED,
-    SHIPPED_DETECTOR,
     TOGETHER,
     WITHOUT_SENSOR,
     open_perception,
     parse_perception,
-    source_hash,
 )
+from dsrc.detectors.classes import source_hash
+from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
 from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import RENAMED, changed_radios
@@ -167,6 +167,8 @@ def read_campaign(path: Path) -> Campaign:
     perceptions = []
     for one in plan.perceptions:
         _, kind, file = parse_perception(one.kind)
+        if kind_of(kind) == "pipe":
+            raise SettingsError(complaint(path, f"perceptions.{one.name}", NO_COMMAND, kind))
         if file and one.checkpoint:
             field = f"perceptions.{one.name}.checkpoint"
             raise SettingsError(f"{path}: '{one.kind}' names a detector file already; leave out {field}")
@@ -466,4 +468,8 @@ def detector_hash(kind: str, checkpoint: str) -> str:
     """
     if kind in WITHOUT_SENSOR:
         return ""
+    if kind_of(kind) in ("pipe", "tcp"):
+        from dsrc.detectors.open import detector_sha256
+
+        return detector_sha256(kind)
     return source_hash(kind) if ":" in kind else file_sha256(Path(checkpoint or SHIPPED_DETECTOR))

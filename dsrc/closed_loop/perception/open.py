@@ -1,26 +1,17 @@
 """Perceptions by name: truth, detectors by checkpoint, and classes of one's own."""
 
-import inspect
 import os
-import sys
-import uuid
-from dataclasses import fields
-from importlib import import_module
-from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Perception
-from dsrc.data.sample import DetectorSettings, SampleDetector, SampleRequest
+from dsrc.data.sample import SampleDetector
+from dsrc.detectors.classes import OwnDetector, load_own
+from dsrc.detectors.texts import SHIPPED_DETECTOR, kind_of, split_name
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, CorruptedAgents, Family
-from sim.boxes import CLASSES, VEHICLES
 from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
-from sim.kept.code_hash import sources_hash
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
-
-SHIPPED_DETECTOR = Path(__file__).parents[2] / "checkpoints" / "small-dsrc.pt"
 
 WITHOUT_SENSOR = ("truth", "sight")
 """Ground truth: no corruption, channel or checkpoint applies."""
@@ -34,10 +25,6 @@ MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
 
 _NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE)
-_NO_SOURCE = uuid.uuid4().hex
-_IMPORTED: dict[str, tuple[ModuleSpec | None, str]] = {}
-"""Spec and `source_hash` of imported modules of one's own: Python keeps what it has imported, whatever becomes of the
-file, until it is loaded again, which gives it another spec."""
 _FORMER = {"dsrc": TOGETHER}
 """Names of earlier versions, which logs and plans still have."""
 _IDEAL = PRESETS[IDEAL]
@@ -69,9 +56,10 @@ def open_perception(
             * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`: without; `late=FILE`: late fusion;
             * FILE.json or NAME=FILE.json: an error model, see `dsrc model fit`; `model`: that of `checkpoint`;
             * `module:Class` of one's own, made without arguments: a perception (`reset`, `perceive`), or a detector
-              (`detect(sample) -> Detections`, and `settings` with a `grid` unless the shipped detector's serves).
+              (`detect(sample) -> Detections`, and `settings`, a `SampleRequest`, unless the shipped detector's serves).
               `classes` names what it detects: by default a detector vehicles, a perception everything. Modules of the
-              current folder are found.
+              current folder are found;
+            * FILE.onnx, `pipe:COMMAND ...` or `tcp://localhost:PORT`: see `dsrc.detectors.open`.
         checkpoint: detector file of `ego`, `team` and `late`; None for the shipped one.
         corruption: condition of the sweeps, or the kind of it, or `clean`.
         severity: 1 to 5 of a kind; any for `clean`.
@@ -149,41 +137,17 @@ class Words(NamedTuple):
 
 
 def parse_perception(text: str) -> Words:
-    """Return the words of `truth`, FILE, NAME=FILE, NAME=ego; a bare FILE ends with .pt or .json or has a folder."""
-    name, equals, what = text.partition("=")
-    named = bool(equals and what) and not {"/", "\\"} & set(name)
-    if not named:
-        name, what = "", text
-    is_path = what.endswith((".pt", ".json")) or "/" in what or os.sep in what
-    if not is_path and (not named or ":" in what or what in (*_NAMES, *_FORMER)):
+    """Return the words of `truth`, FILE, NAME=FILE, NAME=ego.
+
+    A bare FILE ends with .pt, .onnx or .json, or has a folder.
+    """
+    name, what = split_name(text)
+    is_path = what.endswith((".pt", ".onnx", ".json")) or "/" in what or os.sep in what
+    is_path = is_path and kind_of(what) not in ("pipe", "tcp")
+    if not is_path and (not name or ":" in what or what in (*_NAMES, *_FORMER)):
         return Words(name or what, _FORMER.get(what, what), "")
     kind = MODELLED if what.endswith(".json") else name if name in (ALONE, LATE) else TOGETHER
     return Words(name or Path(what).stem, kind, what)
-
-
-def source_of(text: str) -> Path | None:
-    """Return the source of the module of `module:Class`, None for other perceptions and where there is none."""
-    module, colon, _ = text.partition(":")
-    if not colon:
-        return None
-    _find_modules_here()
-    try:
-        found = find_spec(module)
-    except Exception:  # packages around it are imported, code of one's own
-        return None
-    return Path(found.origin) if found is not None and found.has_location and found.origin else None
-
-
-def source_hash(text: str) -> str:
-    """Return the SHA-256 of the source of `module:Class`: of all modules of its package, or of its file.
-
-    Without a source it is of this class in this process, so that no episode of another one is served for it.
-    """
-    path, (module, _, name) = source_of(text), text.partition(":")
-    if path is None:
-        return f"{_NO_SOURCE}-{id(getattr(sys.modules.get(module), name, None))}"
-    package = find_spec(module.partition(".")[0])
-    return sources_hash((package and package.submodule_search_locations) or (), path)
 
 
 def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
@@ -205,67 +169,30 @@ def _modelled(text: str, file: Path | None, condition: Condition, channel: str |
     return ModelPerception(model, model.errors(file, condition, channel))
 
 
-def _loaded(path: Path, device: str, engine: str, late: bool) -> tuple[SampleDetector, str]:
+def _loaded(path: Path, device: Literal["cpu", "cuda"], engine: str, late: bool) -> tuple[SampleDetector, str]:
     """Return the detector of a file and the engine that runs it."""
+    from dsrc.detectors.open import open_detector
     from dsrc.models.storage.checkpoint import load_joined
     from dsrc.models.storage.deploy import engine_for
 
+    if kind_of(str(path)) == "onnx":
+        if late:
+            raise SettingsError(complaint("perception", "late", "a detector file", path))
+        return open_detector(path), "fused"
     chosen = engine_for(path, engine, device)
     return load_joined(path, device, chosen, LATE if late else ""), chosen
 
 
 def _own(text: str) -> Any:
-    """Return an instance of `module:Class`.
+    """Return a perception or a detector of one's own: of a class or a process.
 
     Raises:
         SettingsError: the module or the class does not load, or has neither `perceive` nor `detect`.
+        DataError: the process does not answer.
     """
-    module, _, name = text.partition(":")
-    source, known = source_hash(text), sys.modules.get(module)
-    if known is not None and module in _IMPORTED:
-        spec, before = _IMPORTED[module]
-        if known.__spec__ is not None and known.__spec__ is spec and source != before:
-            expected = "the module as it was imported, or a new process"
-            raise SettingsError(complaint("perception", text, expected, "another, which was changed since"))
-    try:
-        found = getattr(import_module(module), name)
-        spec = sys.modules[module].__spec__
-        if module not in _IMPORTED or _IMPORTED[module][0] is not spec:
-            _IMPORTED[module] = spec, source
-        made = found() if inspect.isclass(found) or inspect.isfunction(found) else found
-    except Exception as error:  # code of one's own can fail in any way
-        cause = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise SettingsError(complaint("perception", text, "a class that loads", cause)) from None
-    classes = getattr(made, "classes", VEHICLES)
-    if not isinstance(classes, tuple) or not set(classes) <= set(CLASSES):
-        expected = f"a tuple of {', '.join(CLASSES)}"
-        raise SettingsError(complaint("perception", f"{text}.classes", expected, classes))
-    if hasattr(made, "perceive") and hasattr(made, "reset"):
-        return made
-    if not hasattr(made, "detect"):
-        found = f"a {type(made).__name__} without them"
-        raise SettingsError(complaint("perception", text, "a class with reset and perceive, or with detect", found))
-    return made if hasattr(made, "settings") and hasattr(made.settings, "request") else _WithRequest(made)
+    from dsrc.detectors.open import open_detector
 
-
-def _find_modules_here() -> None:
-    if os.getcwd() not in sys.path and "" not in sys.path:
-        sys.path.insert(0, os.getcwd())  # a console script's path begins with its own folder
-
-
-class _WithRequest:
-    """Detector with the request that its settings say, or with the shipped detector's where it has `detect` alone."""
-
-    def __init__(self, detector: Any) -> None:
-        if hasattr(detector, "settings"):
-            warn_deprecated("detector.settings without request", "dsrc.SampleRequest")
-            given: dict[str, Any] = {
-                field.name: getattr(detector.settings, field.name, field.default) for field in fields(SampleRequest)
-            }
-            self.settings: DetectorSettings = SampleRequest(**given)
-        else:
-            from dsrc.models.storage.checkpoint import load_detector
-
-            self.settings = load_detector(SHIPPED_DETECTOR).settings
-        self.name, self.detect = type(detector).__name__, detector.detect
-        self.classes = getattr(detector, "classes", VEHICLES)
+    if kind_of(text) in ("pipe", "tcp"):
+        return open_detector(text)
+    made = load_own(text, "perception", "reset and perceive, or with detect", "perceive+reset", "detect")
+    return made if hasattr(made, "perceive") and hasattr(made, "reset") else OwnDetector(made, text)

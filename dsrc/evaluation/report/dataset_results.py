@@ -90,8 +90,9 @@ class DatasetResults:
 
     @property
     def settings(self) -> dict[str, ModelSettings]:
-        """Settings of each method."""
-        return {name: several[0].settings for name, several in self.trained.items()}
+        """Settings of each method, without detectors of one's own."""
+        found = {name: several[0].settings for name, several in self.trained.items()}
+        return {name: settings for name, settings in found.items() if isinstance(settings, ModelSettings)}
 
     def kinds(self) -> list[str]:
         """Kinds of corruption, in their order."""

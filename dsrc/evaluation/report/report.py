@@ -106,7 +106,7 @@ def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, Tr
         cells: list[list[str]] = [[] for _ in places]
         for key, path in zip(entry.cells, entry.drives, strict=True):
             cells[places.index((case.dataset, path))].append(key)
-        limits = [one.settings.max_agents, one.agents, case.agents]
+        limits = [one.settings.request.max_agents, one.agents, case.agents]
         run = StoredRun(
             method=case.method,
             training=case.training,
@@ -147,7 +147,7 @@ def provenance_of(result: BenchmarkResult) -> dict[str, Any]:
     settings = msgspec.to_builtins(plan)
     settings["methods"] = {
         name: [
-            {"file": one.path.name, "sha256": one.sha256, "training_seed": one.seed, "use": one.use}
+            {"file": one.name, "sha256": one.sha256, "training_seed": one.seed, "use": one.use}
             | ({} if one.agents is None else {"agents": one.agents})
             for one in several
         ]

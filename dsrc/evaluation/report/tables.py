@@ -235,5 +235,5 @@ def bytes_note(results: DatasetResults, methods: Sequence[str]) -> str:
         "where2comm": "is an upper bound: the whole first scale, of which it sends a part",
         "late": "is of the objects of the ground truth that a sender has points on, not of its detections",
     }
-    notes = [f" That of {name} {special[f]}." for name in methods if (f := results.settings[name].fusion) in special]
+    notes = [f" That of {name} {special[f]}." for name in methods if (f := results.trained[name][0].fusion) in special]
     return "".join(notes)

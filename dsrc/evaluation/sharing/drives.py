@@ -7,6 +7,8 @@ from typing import Any
 import msgspec
 
 from dsrc.data.drives import Drive, drive_hashes, list_drives, open_drive
+from dsrc.detectors.open import close_detector, detector_sha256, open_detector
+from dsrc.detectors.texts import kind_of, split_name
 from dsrc.evaluation.cells import CellJob
 from dsrc.evaluation.config import check_numbers
 from dsrc.evaluation.detect import frame_positions
@@ -21,7 +23,7 @@ from dsrc.evaluation.sharing.cells import (
 from dsrc.evaluation.sharing.shares import MOST_AGENTS, check_iou
 from dsrc.evaluation.stored import StoredDrive
 from dsrc.models.fusion import FUSIONS, Fusion
-from dsrc.models.storage.checkpoint import load_student
+from dsrc.models.settings import fusion_of
 from dsrc.options.detection import Sharing
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
@@ -30,7 +32,6 @@ from dsrc.runs.provenance import provenance
 from dsrc.runs.study import Study, reuse_entry
 from sensors.corruptions import Condition, conditions_of
 from sim.errors import DataError, complaint
-from sim.files import file_sha256
 from sim.kept.code_hash import code_hash, versions_with
 from sim.radio import get_channel
 
@@ -68,7 +69,10 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
     conditions = conditions_of(
         config.corruption, (config.severity,), (config.family,), config.corrupted_agents, "shares"
     )
-    detector = load_student(config.checkpoint, config.device, config.engine)  # a wrong one before anything is written
+    _, text = split_name(str(config.checkpoint))
+    detector = open_detector(text, config.device, config.engine)  # a wrong one before anything is written
+    sha256, fusion = detector_sha256(text, detector), FUSIONS[fusion_of(detector.settings)]
+    close_detector(detector)
     readers = [open_drive(path) for path in list_drives(config.data)]
     names = [reader.drive.name for reader in readers]
     if twice := [name for name in names if names.count(name) > 1]:
@@ -76,7 +80,7 @@ def share_drives(config: Sharing, pool: Pool = SERIAL, progress: Progress | None
     folder = config.out / "cells"
     with locked(config.out, what="folder of shares"):
         by_drive = [
-            list(_jobs(reader, positions, conditions, config, FUSIONS[detector.settings.fusion]))
+            list(_jobs(reader, positions, conditions, config, text, sha256, fusion))
             for reader, positions in zip(readers, frame_positions(readers, config.frames), strict=True)
         ]
         jobs = {job.settings.key: job for own in by_drive for job in own}
@@ -94,17 +98,19 @@ def _jobs(
     positions: Sequence[int],
     conditions: Sequence[Condition],
     config: Sharing,
+    text: str,
+    sha256: str,
     fusion: type[Fusion],
 ) -> Iterator[CellJob]:
     """Yield the cells of a drive."""
     radios = config.radios(() if config.channel is None else (config.channel,))
     channel = get_channel(radios[0]) if radios else None
-    detector, data = file_sha256(config.checkpoint), reader.digest()
+    data = reader.digest()
     for start in range(0, len(positions), CHUNK):
         chunk = tuple(positions[start : start + CHUNK])
         for condition in conditions:
             settings = ShareSettings(
-                detector=detector,
+                detector=sha256,
                 use={},
                 drive=reader.drive.name,
                 data=data,
@@ -119,7 +125,7 @@ def _jobs(
                 channel=None if channel is None else channel.decisive(),
                 iou=config.iou,
             )
-            yield CellJob(settings, config.checkpoint, reader.drive, condition, None, channel)
+            yield CellJob(settings, text, reader.drive, condition, None, channel)
 
 
 def _read(folder: Path, jobs: Iterable[CellJob]) -> Iterator[ShareRow]:
@@ -148,7 +154,9 @@ def provenance_of(config: Sharing) -> dict[str, Any]:
     fields = {name: getattr(config, name) for name in Sharing.__struct_fields__ if name not in without}
     settings = msgspec.to_builtins(fields, enc_hook=str)
     settings["who"] = settings.pop("corrupted_agents")  # its name in files
-    settings["data"], settings["checkpoint"] = config.data.name, config.checkpoint.name
-    settings["sha256"] = file_sha256(config.checkpoint)
+    _, text = split_name(str(config.checkpoint))
+    settings["data"] = config.data.name
+    settings["checkpoint"] = Path(text).name if kind_of(text) in ("file", "onnx") else text
+    settings["sha256"] = detector_sha256(text)
     made_by = provenance(settings, config.seed, drive_hashes(list_drives(config.data)))
     return {**made_by, **reuse_entry(config.out / "cells")}

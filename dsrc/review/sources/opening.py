@@ -81,22 +81,22 @@ def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str], engine:
     """Add a computed set for each detector to each source.
 
     Args:
-        checkpoints: detector files, FILE or NAME=FILE.
-        engine: execution of their networks, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
+        checkpoints: detectors, DETECTOR or NAME=DETECTOR, see `dsrc.detectors.open`.
+        engine: execution of the networks of files, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
 
     Raises:
-        CheckpointError: a file is missing, damaged or of another model.
+        UserError: a detector does not open.
         SettingsError: a name repeats.
     """
     if not checkpoints:
         return
     # Torch takes seconds to import; ground truth alone does without.
-    from dsrc.models.storage.checkpoint import load_student
+    from dsrc.detectors.open import open_detector
 
     detectors: dict[str, SampleDetector] = {}
-    for name, path in named(checkpoints):
+    for name, text in named(checkpoints):
         if name in detectors or any(name in source.sets for source in sources):
             raise SettingsError(complaint("view", "checkpoint", "names that differ", name, "; give names: name=path"))
-        detectors[name] = load_student(Path(path), engine=engine)
+        detectors[name] = open_detector(text, engine=engine)
     for source in sources:
         source.sets.update({name: ComputedSet(name, detector) for name, detector in detectors.items()})

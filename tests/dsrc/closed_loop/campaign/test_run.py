@@ -35,9 +35,9 @@ from dsrc.closed_loop.campaign.run import (
 )
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR
 from dsrc.closed_loop.report.report import markdown, write_report
 from dsrc.closed_loop.report.terminal import comparison_table, summary_table
+from dsrc.detectors.texts import SHIPPED_DETECTOR
 from dsrc.options.driving import DriveOptions
 from dsrc.runs.executors import Pool
 from sim.errors import DataError, SettingsError

@@ -12,8 +12,10 @@ from msgspec.structs import replace
 
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.detector import DetectorPerception
-from dsrc.closed_loop.perception.open import SHIPPED_DETECTOR, open_perception, parse_perception, source_hash
+from dsrc.closed_loop.perception.open import open_perception, parse_perception
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
+from dsrc.detectors.classes import source_hash
+from dsrc.detectors.texts import SHIPPED_DETECTOR
 from dsrc.models.fusion.late import join_detections
 from sim.boxes import CLASSES, VEHICLES
 from sim.errors import CheckpointError, SettingsError
