@@ -1,6 +1,7 @@
-"""A detector in a process of its own: copy `serve` into the environment of OpenPCDet, mmdetection3d or OpenCOOD.
+"""A detector in a process of its own, over a pipe or a port.
 
-Needs Python and numpy alone. The loop below is all that such a detector has to say; `dsrc.detectors.message` says more.
+Copy `serve` into the environment of OpenPCDet, mmdetection3d or OpenCOOD; it needs numpy. `dsrc.detectors.message` says
+what is sent.
 
 Usage:
     python examples/11_detector_process.py --test

@@ -66,7 +66,7 @@ def test_what_is_no_message_is_told_in_one_line(content: bytes, words: str) -> N
 
 @pytest.mark.parametrize(
     "change",
-    [{"protocol": 2}, {"name": ""}, {"range_m": [1]}, {"max_agents": 0}, {"users": "dogs"}, {"range_m": [1e9] * 6}],
+    [{"protocol": 2}, {"name": ""}, {"range_m": [1]}, {"range_m": [1e9] * 6}, {"max_agents": 0}, {"users": "dogs"}],
 )
 def test_a_wrong_hello_is_refused(change: dict) -> None:
     with pytest.raises(ValueError):
