@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from dsrc.review.page.output.export import export_html
     from sensors.corruptions import check_corruption, corrupt_frame, kinds_of, register_corruption
     from sensors.deskew import deskew
-    from sensors.frame import AgentFrame, Frame
+    from sensors.frame import AgentFrame, Frame, Region
     from sensors.presets import get_lidar, register_sensor
     from sensors.presets.check import check_sensor
     from sensors.recording.scenario_check import check_scenario
@@ -91,7 +91,7 @@ _MODULES = {
     "dsrc.review.page.output.export": ("export_html",),
     "sensors.corruptions": ("check_corruption", "corrupt_frame", "kinds_of", "register_corruption"),
     "sensors.deskew": ("deskew",),
-    "sensors.frame": ("AgentFrame", "Frame"),
+    "sensors.frame": ("AgentFrame", "Frame", "Region"),
     "sensors.presets": ("get_lidar", "register_sensor"),
     "sensors.presets.check": ("check_sensor",),
     "sensors.recording.scenario_check": ("check_scenario",),
@@ -123,6 +123,7 @@ __all__ = [
     "open_drives",
     "Frame",
     "AgentFrame",
+    "Region",
     "Sweep",
     "Boxes",
     # sensing
@@ -145,6 +146,7 @@ __all__ = [
     "Detector",
     "detect",
     "Detections",
+    "GridSpec",
     "Sample",
     "SampleRequest",
     "GridSpec",

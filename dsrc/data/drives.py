@@ -5,6 +5,7 @@
 | OPV2V       | a scenario folder; ours, OpenCDA's, V2XSet's            | the folder                      |
 | V2V4Real    | a scenario folder whose `lidar_pose` are matrices       | the folder                      |
 | DAIR-V2X-C  | a batch of pairs of a vehicle's and a roadside's frames | TREE/BATCH, see `dair.reader`   |
+| sweeps      | of KITTI and other data sets, truth optional            | see `sweeps.reader`             |
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.formats.dair import reader as dairv2x
 from dsrc.data.formats.opv2v import reader as opv2v
+from dsrc.data.sweeps import reader as sweeps
 from sensors.frame import Frame
 from sensors.sweep import Motion
 from sim.errors import DataError, complaint
@@ -48,6 +50,10 @@ class Drive(Protocol):
         """Return per agent (K, 3) x, y, m, and speed, m/s, of its path after the i-th frame, if known."""
         ...
 
+    def labelled(self, i: int) -> bool:
+        """Return whether the i-th frame has ground truth, an empty one included."""
+        ...
+
     def digest(self) -> str:
         """Return a SHA-256 of annotations and of all clouds' names, sizes and changes; quick, for provenance."""
         ...
@@ -57,7 +63,10 @@ def list_drives(root: Path) -> list[Path]:
     """Return the paths of the drives at or below a folder, as `find_drives`; DataError if it holds none."""
     found = find_drives(root)
     if not found:
-        expected = "an OPV2V tree (drive/agent/000000.yaml) or a DAIR-V2X-C one (cooperative/data_info.json)"
+        expected = (
+            "an OPV2V tree (drive/agent/000000.yaml), a DAIR-V2X-C one (cooperative/data_info.json), or"
+            " sweeps: KITTI, nuScenes, Argoverse 2, bags, folders of scans"
+        )
         raise DataError(complaint(root, "folder", expected, "none"))
     return found
 
@@ -65,7 +74,8 @@ def list_drives(root: Path) -> list[Path]:
 def find_drives(root: Path) -> list[Path]:
     """Return the paths of the drives at or below a folder (itself, its children, theirs), sorted.
 
-    A path in a DAIR-V2X-C tree need not exist: `TREE/val` gives the drives of that split.
+    A path in a DAIR-V2X-C tree, or of a drive in tables, need not exist: `TREE/val` gives the drives of that split.
+    Drives of sweeps are looked for where there are no others.
 
     Raises:
         DataError: the folder is missing.
@@ -74,18 +84,20 @@ def find_drives(root: Path) -> list[Path]:
     address = dairv2x.locate(root)
     if address is not None:
         return dairv2x.list_batches(address)
+    if not root.is_dir() and (found := sweeps.sweeps_below(root)):
+        return found
     if not root.is_dir():
         raise DataError(f"{root}: not a folder" if root.exists() else f"{root}: no such folder")
     below = [folder for pattern in ("*/", "*/*/") for folder in sorted(root.glob(pattern)) if dairv2x.is_tree(folder)]
     found = [drive for tree in below for drive in list_drives(tree)]
-    return found + opv2v.drives_below(root)
+    return (found + opv2v.drives_below(root)) or sweeps.sweeps_below(root)
 
 
 def path_below(root: Path, drive: Path) -> Path:
     """Return the path of a drive below the folder that `find_drives` found it in; `.` where the folder is the drive."""
     address = dairv2x.locate(root)
     if address is None:
-        return drive.relative_to(root)
+        return drive.relative_to(root) if drive.is_relative_to(root) else Path(drive.name)
     return Path() if address.batch is not None else drive.relative_to(address.folder)
 
 
@@ -101,12 +113,19 @@ def open_drive(path: Path, motion: Motion | None = None) -> Drive:
     """
     if dairv2x.locate(Path(path)) is not None:
         return dairv2x.DairReader(path, motion)
+    if sweeps.layout_of(Path(path)) is not None:
+        return sweeps.SweepReader(path, motion)
     return opv2v.DriveReader(path, motion)
 
 
 def open_drives(root: Path | str, motion: Motion | None = None) -> list[Drive]:
     """Open all drives at or below a folder; see `list_drives` and `open_drive`."""
     return [open_drive(path, motion) for path in list_drives(Path(root))]
+
+
+def labelled_frames(drive: Drive) -> list[int]:
+    """Return the positions of the frames with ground truth; all of other data sets than sweeps."""
+    return [i for i in range(len(drive)) if drive.labelled(i)]
 
 
 def drive_hashes(drives: Sequence[Path]) -> dict[str, str]:

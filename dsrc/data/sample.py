@@ -10,7 +10,7 @@ from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.ops.anchors import Users
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
-from sensors.frame import Frame
+from sensors.frame import Frame, Region
 from sim.boxes import Boxes
 from sim.errors import DataError, complaint, warn_deprecated
 from sim.geometry import invert, transform_points
@@ -35,6 +35,7 @@ class Sample:
             one.
         other_clouds: (P, 4) clouds of agents in range that are not fused; a teacher's objects have their points.
         corrupted: per agent the corrupted cloud of a training sample, in place of that in `clouds`; else empty.
+        region: where boxes are judged, in the sample's frame; None for everywhere in range.
     """
 
     key: str
@@ -46,6 +47,7 @@ class Sample:
     lost: tuple[NDArray[np.bool_], ...] = ()
     other_clouds: tuple[NDArray[np.float32], ...] = ()
     corrupted: tuple[NDArray[np.float32], ...] = ()
+    region: Region | None = None
 
 
 Range = tuple[float, float, float, float, float, float]
@@ -167,7 +169,8 @@ def make_sample(
     shift[0, 3] = -ahead_m
     ego_from_world = shift @ invert(ego.sweep.world_from_lidar)
     truth = frame.truth.transform(ego_from_world)
-    eligible = users_in(truth, asked.users) & inside(truth, asked.judged_m)
+    region = None if frame.region is None else frame.region.transform(ego_from_world)
+    eligible = users_in(truth, asked.users) & counted(truth, asked.judged_m, region)
     if not asked.keep_ego_box:
         eligible &= truth.object_id != ego.agent_id
     seen = frame.points_on[rows] >= 1
@@ -183,6 +186,7 @@ def make_sample(
         ego_from_agent=poses,
         boxes=truth[annotated.any(axis=0)],
         agent_boxes=tuple(truth[annotated[i]] for i in range(len(active))),
+        region=region,
     )
 
 
@@ -223,6 +227,12 @@ def inside(boxes: Boxes, range_m: Range) -> NDArray[np.bool_]:
     return np.all((corners >= low) & (corners <= high), axis=(1, 2))
 
 
+def counted(boxes: Boxes, range_m: Range, region: Region | None) -> NDArray[np.bool_]:
+    """Return (N,) whether boxes are judged, true or detected: wholly in range and in the region of the labels."""
+    judged = inside(boxes, range_m)
+    return judged if region is None else judged & region.counts(boxes)
+
+
 def cloud_of(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: GridSpec) -> NDArray[np.float32]:
     """Return (P, 4) x, y, z, intensity in the ego's frame: without the agent's own body, strictly in range."""
     sweep = frame.agents[row].sweep
@@ -243,7 +253,8 @@ def _own_body(frame: Frame, row: int) -> NDArray[np.bool_]:
     """Return (P,) whether a point lies on the agent itself: in its true box, for other tools' data in OPV2V's."""
     agent = frame.agents[row]
     points = agent.sweep.points
-    if agent.sweep.spec is None:
+    boxless = agent.kind == "vehicle" and agent.agent_id not in frame.truth.object_id
+    if agent.sweep.spec is None or boxless:
         (x, y), low, high = points[:, :2].T, _OWN_BODY_LOW, _OWN_BODY_HIGH
         return (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
     own = frame.truth[frame.truth.object_id == agent.agent_id].transform(invert(agent.sweep.world_from_lidar))

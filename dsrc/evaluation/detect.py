@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.drives import Drive
-from dsrc.data.sample import Sample, SampleDetector, SampleRequest, inside, make_sample
+from dsrc.data.drives import Drive, labelled_frames
+from dsrc.data.sample import Sample, SampleDetector, SampleRequest, counted, make_sample
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
 from dsrc.models.channel import Receiver
@@ -75,7 +75,7 @@ def evaluate_drive(
 
     Each frame is read once and corrupted once per condition; all methods get the same sweeps. Ground truth is that of
     the clean frame: an object whose points a corruption took away still counts as missed. Detections not wholly inside
-    the range in which the detector is judged are left out, as such true boxes are.
+    the range in which the detector is judged, or out of the region of the labels, are left out, as such true boxes are.
 
     Args:
         work: methods of each condition, of different names.
@@ -111,11 +111,11 @@ def evaluate_drive(
                 start = time.perf_counter()
                 found = method.detector.detect(sample)
                 record.seconds.append(time.perf_counter() - start)
-                counted = found[inside(found.boxes, method.detector.settings.request.judged_m)]
+                judged = found[counted(found.boxes, method.detector.settings.request.judged_m, whole.region)]
                 points = points_table(recorded[0], left, whole.agent_ids, sample.boxes.object_id)
                 share = _ego_share(recorded[0], sample)
                 ego_id, index = sample.agent_ids[0], recorded[0].index
-                record.frames.append(one_frame(i, index, ego_id, counted, sample.boxes, points, share))
+                record.frames.append(one_frame(i, index, ego_id, judged, sample.boxes, points, share))
             count_frame()
     return {key: record.result() for key, record in records.items()}
 
@@ -214,14 +214,16 @@ def interval_of(reader: Drive) -> float:
 
 
 def frame_positions(readers: Sequence[Drive], limit: int | None) -> list[list[int]]:
-    """Positions of the frames to evaluate in each drive: all, or `limit` of them evenly spread over all drives.
+    """Positions of the frames with ground truth in each drive: all, or `limit` of them evenly spread over all drives.
 
     Raises:
-        DataError: no drive has a frame.
+        DataError: no drive has a frame with ground truth.
     """
-    places = [(k, i) for k, reader in enumerate(readers) for i in range(len(reader.frames))]
+    places = [(k, i) for k, reader in enumerate(readers) for i in labelled_frames(reader)]
     if not places:
-        raise DataError(complaint("evaluate", "drives", "at least one frame", "none"))
+        where = readers[0].drive if readers else "evaluate"
+        hint = "; there is nothing to judge: dsrc detect and dsrc view take such drives"
+        raise DataError(complaint(where, "ground truth", "boxes of at least one frame", "none", hint))
     if limit is not None and limit < len(places):
         places = [places[i] for i in np.linspace(0, len(places) - 1, limit).round().astype(int)]
     return [[i for drive, i in places if drive == k] for k in range(len(readers))]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dsrc.data.drives import open_drive
+from dsrc.data.drives import labelled_frames, open_drive
 from dsrc.data.sample import Sample, SampleRequest, make_sample
 from sensors.corruptions import corrupt_frame
 from sensors.frame import Frame
@@ -42,9 +42,9 @@ class SampleStore:
         """
         self.drives = [open_drive(drive) for drive in drives]
         self.request = request
-        self.frames = [FrameRef(d, i) for d, reader in enumerate(self.drives) for i in range(len(reader))]
+        self.frames = [FrameRef(d, i) for d, reader in enumerate(self.drives) for i in labelled_frames(reader)]
         if not self.frames:
-            raise DataError(complaint(drives[0] if drives else "data", "frames", "at least one", 0))
+            raise DataError(complaint(drives[0] if drives else "data", "frames with ground truth", "at least one", 0))
 
     def egos(self, ref: FrameRef) -> list[int]:
         """Return the possible egos: vehicles (or all agents without a vehicle), in folder order."""

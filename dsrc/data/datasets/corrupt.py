@@ -23,6 +23,7 @@ from dsrc.data.formats.opv2v.reader import (
     own_settings,
     write_frame,
 )
+from dsrc.data.sweeps.reader import of_loose_scans
 from dsrc.options.drives import CorruptOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
@@ -61,8 +62,8 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
     data, out = Path(options.data).resolve(), Path(options.out).resolve()
     if out.is_relative_to(data) or data.is_relative_to(out):
         raise SettingsError(complaint("corrupt", "out", f"a place apart from {data}", str(out)))
-    drives = [] if data.is_file() or is_scan(data) else find_drives(data)
-    if not drives:
+    drives = [] if is_scan(data) else find_drives(data)
+    if not drives or any(map(of_loose_scans, drives)):
         return corrupt_scans(options, pool, progress)
     if options.sensor is not None:
         raise SettingsError("corrupt: drives know their LiDARs; leave out --sensor")

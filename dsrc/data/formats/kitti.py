@@ -4,6 +4,9 @@
     OUT/ImageSets/{train,val,trainval,test}.txt
     OUT/frames.csv            drive, frame and agent of each number
 
+Beyond KITTI's lines a calibration has two more, which its readers pass over: the LiDAR's pose in the world of the
+drive, `Tr_velo_to_world`, and `time`, s.
+
 KITTI's `testing` holds frames without labels; all of ours have them, those of test drives too.
 
 Velodyne points are x forward, y left, z up, as ours, with intensity from 0 to 1. The camera is a nominal one: KITTI's
@@ -26,6 +29,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.formats.levelling import levelled, occlusion
 from sensors.frame import Frame
+from sensors.sweep import Sweep
 from sim.boxes import CLASSES, Boxes
 from sim.files import write_file
 from sim.geometry import invert, transform_points, wrap_angle
@@ -51,6 +55,8 @@ PROJECTION = np.array(
 CAMERA_FROM_LIDAR = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0.0, 0.0, 0.0, 1.0]],
 )
+WORLD, TIME = "Tr_velo_to_world", "time"
+"""Names of lines of a calibration that KITTI does not have."""
 _NEAR_M = 0.1
 _SETS = {"train": ("train",), "val": ("val",), "test": ("test",), "trainval": ("train", "val")}
 """Splits in each list of frames."""
@@ -76,7 +82,7 @@ class KittiWriter:
         seen = (frame.points_on[row] >= 1) & (frame.truth.object_id != frame.agents[row].agent_id)
         boxes = frame.truth[seen].transform(invert(sweep.world_from_lidar))
         write_file(self._file("velodyne", number, "bin"), cloud.astype("<f4").tobytes())
-        write_file(self._file("calib", number, "txt"), _calibration().encode())
+        write_file(self._file("calib", number, "txt"), _calibration(sweep, frame.time_s).encode())
         write_file(self._file("image_2", number, "png"), _black())
         labels = encode_labels(boxes, self.view, occlusion(frame.visible_fraction[row, seen]))
         write_file(self._file("label_2", number, "txt"), labels.encode())
@@ -115,7 +121,7 @@ def encode_labels(boxes: Boxes, view: LabelView, hidden: NDArray[np.int64]) -> s
         lines.append(
             f"{CLASS_NAMES[CLASSES[boxes.label[row]]]} {truncated:.2f} {occluded} {alpha:.4f}"
             f" {left:.2f} {top:.2f} {right:.2f} {under:.2f}"
-            f" {height:.4f} {width:.4f} {length:.4f} {x:.4f} {y:.4f} {z:.4f} {turn:.6f}\n"
+            f" {height:.7f} {width:.7f} {length:.7f} {x:.7f} {y:.7f} {z:.7f} {turn:.9f}\n"
         )
     return "".join(lines)
 
@@ -135,11 +141,13 @@ def _projected(corners: NDArray[np.float64]) -> tuple[tuple[float, float, float,
     return (*inside_low.tolist(), *inside_high.tolist()), round(1.0 - kept, 2)
 
 
-def _calibration() -> str:
+def _calibration(sweep: Sweep, time_s: float) -> str:
     """Return the text of a calibration file; all cameras are one."""
     rows = {f"P{camera}": PROJECTION for camera in range(4)}
     rows |= {"R0_rect": np.eye(3), "Tr_velo_to_cam": CAMERA_FROM_LIDAR[:3], "Tr_imu_to_velo": np.eye(4)[:3]}
-    return "".join(f"{name}: {' '.join(f'{value:.12e}' for value in rows[name].ravel())}\n" for name in rows)
+    lines = [f"{name}: {' '.join(f'{value:.12e}' for value in rows[name].ravel())}\n" for name in rows]
+    world = " ".join(map(repr, sweep.world_from_lidar[:3].ravel().tolist()))
+    return "".join([*lines, f"{WORLD}: {world}\n", f"{TIME}: {time_s!r}\n"])
 
 
 @lru_cache(maxsize=1)

@@ -7,13 +7,14 @@ Source: the development kit of the KITTI object benchmark (readme.txt); A. Geige
 """
 
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.formats.kitti import CAMERA_FROM_LIDAR
+from dsrc.data.formats.kitti import CAMERA_FROM_LIDAR, PROJECTION, TIME, WORLD
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
 from sim.geometry import invert, transform_points
@@ -23,6 +24,8 @@ VEHICLES = {"car": "car", "van": "van", "truck": "truck", "bus": "bus"}
 """Our classes by KITTI's types, in any case; it has no buses, but others' files in its format do."""
 _WIDTH = 15
 _LARGEST = 1e7
+_NO_NUMBERS = ("calib_time:",)
+"""Lines of KITTI's raw calibrations that hold a date."""
 
 
 class InImage(NamedTuple):
@@ -75,23 +78,36 @@ def read_labels(path: Path, camera_from_lidar: NDArray[np.float64], scored: bool
     Raises:
         DataError: a line is not as described; names line and field.
     """
+    lines = enumerate(read_text(path, "label file").splitlines(), 1)
+    return parse_labels(path, list(lines), camera_from_lidar, scored)
+
+
+def parse_labels(
+    path: Path,
+    lines: Sequence[tuple[int, str]],
+    camera_from_lidar: NDArray[np.float64],
+    scored: bool = False,
+    users: Mapping[str, str] = VEHICLES,
+) -> Labels:
+    """Return the objects of label lines, each with its number in the file; raises as `read_labels`.
+
+    Args:
+        users: our classes by the types to keep, in lower case.
+    """
     width = _WIDTH + scored
     kept: list[NDArray[np.float64]] = [np.zeros((0, width - 1))]
     labels: list[int] = []
-    for number, line in enumerate(read_text(path, "label file").splitlines(), 1):
+    for number, line in lines:
         words = line.split()
         if not words:
             continue
         if len(words) != width and not (len(words) == _WIDTH + 1 and not scored):
             hint = "; the last one is the score" if scored and len(words) == _WIDTH else ""
             raise DataError(complaint(path, f"line {number}", f"{width} columns", len(words), hint))
-        name = VEHICLES.get(words[0].lower())
+        name = users.get(words[0].lower())
         if name is None:
             continue
-        try:
-            values = np.array(words[1:width], np.float64)
-        except ValueError:
-            raise DataError(complaint(path, f"line {number}", "numbers after the type", line)) from None
+        values = _values(path, number, line, words[1:width])
         if not (np.abs(values) <= _LARGEST).all() or (values[7:10] <= 0).any():
             raise DataError(complaint(path, f"line {number}", "a box of positive size", line))
         kept.append(values[None])
@@ -105,6 +121,45 @@ def read_labels(path: Path, camera_from_lidar: NDArray[np.float64], scored: bool
     return Labels(Boxes.from_array(array, np.array(labels, np.int64)), score.astype(np.float32), image)
 
 
+def _values(path: Path, number: int, line: str, words: list[str]) -> NDArray[np.float64]:
+    try:
+        return np.array(words, np.float64)
+    except ValueError:
+        raise DataError(complaint(path, f"line {number}", "numbers after the type", line)) from None
+
+
+def regions_of(path: Path, lines: Sequence[tuple[int, str]]) -> NDArray[np.float64]:
+    """Return (K, 4) left, top, right, bottom of the `DontCare` regions of label lines, px; DataError as `read_labels`.
+
+    These are parts of the picture with objects that nobody has labelled.
+    """
+    words = [(number, line, line.split()) for number, line in lines]
+    rows = [
+        _values(path, number, line, word[4:8]) for number, line, word in words if word[:1] and word[0] == "DontCare"
+    ]
+    if any(row.shape != (4,) or not np.isfinite(row).all() for row in rows):
+        raise DataError(complaint(path, "DontCare", "left, top, right and bottom, px", "others"))
+    return np.array(rows, np.float64).reshape(-1, 4)
+
+
+class KittiCalibration(NamedTuple):
+    """Content of a calibration file, as far as it is used.
+
+    Attributes:
+        camera_from_lidar: (4, 4) to the rectified camera's frame.
+        projection: (3, 4) P2, from there to the pixels of camera 2.
+        world_from_lidar: (4, 4) in trees of ours, else None.
+        time_s: of the frame in trees of ours, else None.
+        camera_from_imu: (4, 4) where the file has one, to the rectified camera's frame.
+    """
+
+    camera_from_lidar: NDArray[np.float64]
+    projection: NDArray[np.float64]
+    world_from_lidar: NDArray[np.float64] | None = None
+    time_s: float | None = None
+    camera_from_imu: NDArray[np.float64] | None = None
+
+
 def calibration_of(folder: Path, number: int) -> NDArray[np.float64]:
     """Return the (4, 4) transform from the LiDAR's frame to the rectified camera's of a frame.
 
@@ -113,16 +168,40 @@ def calibration_of(folder: Path, number: int) -> NDArray[np.float64]:
     Raises:
         DataError: the file of the calibration is damaged.
     """
-    path = folder.parent / "calib" / f"{number:06d}.txt"
+    return read_calibration(folder.parent / "calib" / f"{number:06d}.txt").camera_from_lidar
+
+
+def read_calibration(path: Path) -> KittiCalibration:
+    """Return the calibration of a file, of the object or the tracking benchmark; the nominal one without a file.
+
+    Raises:
+        DataError: the file is damaged.
+    """
     if not path.is_file():
-        return CAMERA_FROM_LIDAR
+        return KittiCalibration(CAMERA_FROM_LIDAR, PROJECTION)
     with parsing(path, "calibration"):
-        lines = (line.partition(":") for line in read_text(path, "calibration").splitlines() if line.strip())
-        rows = {name.strip(): np.array(values.split(), np.float64) for name, _, values in lines}
-        rectified, camera = np.eye(4), np.eye(4)
-        rectified[:3, :3] = rows["R0_rect"].reshape(3, 3)
-        camera[:3] = rows["Tr_velo_to_cam"].reshape(3, 4)
-        found = rectified @ camera
+        lines = [line.split() for line in read_text(path, "calibration").splitlines() if line.strip()]
+        # The tracking benchmark writes some of the names without a colon, and others than the object benchmark.
+        rows = {words[0].rstrip(":"): np.array(words[1:], np.float64) for words in lines if words[0] not in _NO_NUMBERS}
+        rectified = np.eye(4)
+        rectified[:3, :3] = _first(rows, "R0_rect", "R_rect").reshape(3, 3)
+        found = rectified @ _rigid(_first(rows, "Tr_velo_to_cam", "Tr_velo_cam"))
         if not np.isfinite(found).all() or abs(np.linalg.det(found[:3, :3]) - 1.0) > 1e-2:
             raise ValueError("R0_rect, Tr_velo_to_cam: not rotations")
-        return found
+        projection = rows["P2"].reshape(3, 4) if "P2" in rows else PROJECTION
+        world = _rigid(rows[WORLD]) if WORLD in rows else None
+        imu = next((rows[name] for name in ("Tr_imu_to_velo", "Tr_imu_velo") if name in rows), None)
+        time_s = float(rows[TIME][0]) if TIME in rows else None
+        known = [projection, *(part for part in (world, time_s, imu) if part is not None)]
+        if not all(np.isfinite(part).all() for part in known):
+            raise ValueError("a number is not finite")
+        return KittiCalibration(found, projection, world, time_s, None if imu is None else found @ _rigid(imu))
+
+
+def _first(rows: dict[str, NDArray[np.float64]], *names: str) -> NDArray[np.float64]:
+    return rows[next((name for name in names if name in rows), names[0])]
+
+
+def _rigid(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (4, 4) transform of 12 numbers."""
+    return np.vstack([values.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])

@@ -13,7 +13,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import Sample, SampleDetector, inside
+from dsrc.data.sample import Sample, SampleDetector, counted
 from dsrc.models.teams import team_detections
 from dsrc.ops.detections import Detections
 from dsrc.ops.iou import bev_iou
@@ -99,7 +99,7 @@ def share_sample(
     if len(sample.clouds) > MOST_AGENTS:
         raise SettingsError(complaint("shares", "agents", f"at most {MOST_AGENTS}", len(sample.clouds)))
     seen = detector.settings.request.judged_m
-    found = [part[inside(part.boxes, seen)] for part in team_detections(detector, sample)]
+    found = [part[counted(part.boxes, seen, sample.region)] for part in team_detections(detector, sample)]
     whole = found[-1]
     hits: NDArray[np.bool_] = np.any(_overlaps(whole.boxes, sample.boxes, iou), axis=1)
     false = whole.boxes[~hits]

@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from dsrc.data.sample import SampleDetector, inside, make_sample
+from dsrc.data.sample import SampleDetector, counted, make_sample
 from dsrc.evaluation.detection_table import DetectionTable, one_frame, points_left, points_table
 from dsrc.review.sources.base import MemorySet, Setup
 from sensors.corruptions import Condition, drive_seed
@@ -48,7 +48,7 @@ class ComputedSet(MemorySet):
                 row,
                 clean.index,
                 ego_id,
-                found[inside(found.boxes, request.judged_m)],
+                found[counted(found.boxes, request.judged_m, sample.region)],
                 sample.boxes,
                 points_table(clean, points_left(clean, corrupted), everyone.agent_ids, objects),
                 share[np.searchsorted(clean.truth.object_id, objects)],

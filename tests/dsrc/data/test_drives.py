@@ -152,7 +152,7 @@ def test_a_drive_whose_name_is_a_number_does_not_make_its_folder_a_drive(tmp_pat
 
 
 def test_a_folder_without_drives_names_the_formats(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"expected an OPV2V tree .* or a DAIR-V2X-C one"):
+    with pytest.raises(DataError, match=r"expected an OPV2V tree .*, a DAIR-V2X-C one .*, or sweeps"):
         list_drives(tmp_path)
     with pytest.raises(DataError, match="nowhere: no such folder"):
         list_drives(tmp_path / "nowhere")

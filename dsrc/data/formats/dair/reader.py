@@ -204,6 +204,10 @@ class DairReader:
         """Return an empty dict: the dataset has no plans."""
         return {}
 
+    def labelled(self, i: int) -> bool:
+        """Return True: every frame has ground truth."""
+        return True
+
     def digest(self) -> str:
         """Return the SHA-256 of the labels, the poses and the names, sizes, starts and ends of the clouds."""
         digest = hashlib.sha256()

@@ -177,6 +177,10 @@ class DriveReader:
         """Return per agent (K, 3) x, y, m, and speed, m/s, of its path after the i-th frame."""
         return {agent: read_plan(self.drive / str(agent) / f"{self._stems[i]}.yaml") for agent in self.agents}
 
+    def labelled(self, i: int) -> bool:
+        """Return True: every frame has ground truth."""
+        return True
+
     def digest(self) -> str:
         """Return the SHA-256 of the annotations, of all files' names and sizes, and of marks of changed clouds.
 

@@ -25,7 +25,7 @@ def data(tmp_path: Path) -> Path:
 def calibration(path: Path) -> dict[str, np.ndarray]:
     rows = (line.split(":") for line in path.read_text().splitlines())
     found = {name: np.array(values.split(), float) for name, values in rows}
-    return {name: values.reshape(3, -1) for name, values in found.items()}
+    return {name: values.reshape(3, -1) if len(values) > 1 else values for name, values in found.items()}
 
 
 def labels(path: Path) -> list[tuple[str, np.ndarray]]:
@@ -47,7 +47,8 @@ def test_points_lie_in_the_boxes_as_kittis_tools_take_them(data: Path, tmp_path:
     cloud = np.fromfile(root / "velodyne" / "000001.bin", "<f4").reshape(-1, 4)
     assert np.array_equal(cloud[:, :3], sweep.points) and np.array_equal(cloud[:, 3], sweep.intensity)
     calib = calibration(root / "calib" / "000001.txt")
-    assert set(calib) == {"P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr_imu_to_velo"}
+    kittis = {"P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr_imu_to_velo"}
+    assert set(calib) == {*kittis, "Tr_velo_to_world", "time"}
     rows = labels(root / "label_2" / "000001.txt")
     seen = frame.truth[(frame.points_on[0] >= 1) & (frame.truth.object_id != 1000)]
     assert [name for name, _ in rows] == ["Truck", "Car", "Pedestrian", "Misc"]

@@ -1,0 +1,152 @@
+"""Folder of scans: `.bin`, `.pcd`, `.ply` or `.npy` files of one sensor, one file for a frame; or a single such file.
+
+Boxes are optional: `boxes.json` in the folder or beside it, of the form that `dsrc score` reads,
+
+    {"frames": [{"frame": 7, "boxes": [[x, y, z, l, w, h, yaw]], "classes": ["car"], "ids": [3]}]}
+
+with boxes in the sensor's frame, m and rad, classes of `sim.boxes.CLASSES` (all cars without) and ids that are one
+object's in all frames; a frame that it does not list is not labelled. Or KITTI's text, `label_2/NAME.txt` beside the
+folder, with its `calib`.
+
+A frame's number is that at the end of its file's name, 0.1 s apart, where these differ; 16 digits are microseconds.
+"""
+
+import re
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Self
+
+import msgspec
+import numpy as np
+
+from dsrc.data.clouds.files import ending_of, is_scan, read_scan
+from dsrc.data.formats.kitti_labels import read_calibration
+from dsrc.data.jsonio import read_json
+from dsrc.data.sweeps.kitti import kitti_truth, picture_region
+from dsrc.data.sweeps.layout import BoxRows, Labels, Layout
+from sensors.frame import Region
+from sensors.presets import get_lidar
+from sensors.sweep import STATIC, Sweep
+from sim.boxes import CLASSES
+from sim.errors import DataError, complaint
+from sim.reading import read_text
+
+BOXES = "boxes.json"
+_NUMBER = re.compile(r"(\d+)\D*$")
+_MICROSECONDS = 16
+
+
+class FrameBoxes(msgspec.Struct, frozen=True):
+    """True boxes of one scan in `boxes.json`; see the module."""
+
+    frame: int
+    boxes: list[tuple[float, float, float, float, float, float, float]]
+    classes: list[str] | None = None
+    ids: list[int] | None = None
+
+
+class BoxesFile(msgspec.Struct, frozen=True):
+    """Content of `boxes.json`."""
+
+    frames: list[FrameBoxes]
+
+
+class Scans(Layout):
+    """Scans of a folder."""
+
+    format = "folder of scans"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        listed = [path] if is_scan(path) else sorted(file for file in path.iterdir() if is_scan(file))
+        numbers = [_number(file) for file in listed]
+        known = [number for number in numbers if number is not None]
+        if len(set(known)) < len(listed):
+            known = list(range(len(listed)))
+        self._scans = dict(sorted(zip(known, listed, strict=True)))
+        self._folder = path.parent if is_scan(path) else path
+        self.frames = tuple(self._scans)
+        self._in_us = bool(self.frames) and self.frames[0] >= 10 ** (_MICROSECONDS - 1)
+        places = [self._folder / BOXES, self._folder.parent / BOXES]
+        self._boxes_file = next((place for place in places if place.is_file()), None)
+        self._listed = lru_cache(maxsize=1)(self._read_boxes)
+
+    @classmethod
+    def below(cls, folder: Path) -> list[Path]:
+        """Return the folder itself where scans are in it, or a file that is a scan."""
+        if folder.is_file():
+            return [folder] if is_scan(folder) else []
+        return [folder] if folder.is_dir() and any(is_scan(path) for path in folder.iterdir()) else []
+
+    @classmethod
+    def at(cls, path: Path) -> Self | None:
+        """Open a folder of scans."""
+        return cls(path) if cls.below(path) else None
+
+    def time_s(self, i: int) -> float:
+        """Return the time by the file's number, since the first frame where it counts microseconds, s."""
+        return (self.frames[i] - self.frames[0]) * 1e-6 if self._in_us else super().time_s(i)
+
+    def sweeps(self, i: int) -> list[Sweep]:
+        """Return the sweep of a scan."""
+        path = self._scans[self.frames[i]]
+        scan = read_scan(path)
+        try:
+            sweep = scan.cloud.sweep(None if scan.sensor is None else get_lidar(scan.sensor))
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from None
+        ids = np.full(len(sweep), STATIC, np.int32)
+        return [replace(sweep, object_id=ids, time_s=self.time_s(i))]
+
+    def labelled(self, i: int) -> bool:
+        """Return whether `boxes.json` lists the frame, or KITTI's labels are beside it."""
+        return self.frames[i] in self._listed() if self._boxes_file is not None else self._text(i).is_file()
+
+    def labels(self, i: int) -> Labels | None:
+        """Return the boxes of a scan."""
+        if not self.labelled(i):
+            return None
+        if self._boxes_file is None:
+            return self._kitti(i)
+        entry, where = self._listed()[self.frames[i]], f"boxes of frame {self.frames[i]}"
+        names = ["car"] * len(entry.boxes) if entry.classes is None else entry.classes
+        ids = list(range(1, len(entry.boxes) + 1)) if entry.ids is None else entry.ids
+        if not len(names) == len(ids) == len(entry.boxes) or len(set(ids)) < len(ids):
+            raise DataError(complaint(self._boxes_file, where, "a class and an id of its own for each box", "others"))
+        if odd := [name for name in names if name not in CLASSES]:
+            raise DataError(complaint(self._boxes_file, where, f"classes of {', '.join(CLASSES)}", odd[0]))
+        if any(not 0 <= one < 2**31 for one in ids):
+            raise DataError(complaint(self._boxes_file, where, "ids from 0 to 2147483647", max(ids, key=abs)))
+        rows = BoxRows(dict(zip(CLASSES, CLASSES, strict=True)))
+        for name, row, one in zip(names, entry.boxes, ids, strict=True):
+            rows.add(name, row, one)
+        return Labels(rows.boxes(self._boxes_file, where)[0])
+
+    def files(self, i: int) -> list[Path]:
+        """Return the scan and the labels."""
+        return [self._scans[self.frames[i]], self._boxes_file or self._text(i)]
+
+    def _kitti(self, i: int) -> Labels:
+        path = self._text(i)
+        lines = list(enumerate(read_text(path, "label file").splitlines(), 1))
+        calibration = read_calibration(path.parent.parent / "calib" / path.name)
+        boxes, spared = kitti_truth(path, lines, calibration)
+        picture = path.parent.parent / "image_2" / f"{path.stem}.png"
+        region: Region | None = picture_region(path, lines, calibration, picture, spared)
+        return Labels(replace(boxes, object_id=np.arange(1, len(boxes) + 1)), None, region)
+
+    def _text(self, i: int) -> Path:
+        scan = self._scans[self.frames[i]]
+        return self._folder.parent / "label_2" / f"{scan.name.removesuffix(ending_of(scan) or '')}.txt"
+
+    def _read_boxes(self) -> dict[int, FrameBoxes]:
+        if self._boxes_file is None:
+            return {}
+        return {entry.frame: entry for entry in read_json(self._boxes_file, BoxesFile).frames}
+
+
+def _number(path: Path) -> int | None:
+    """Return the number at the end of a scan's name, None without one."""
+    found = _NUMBER.search(path.name.removesuffix(ending_of(path) or ""))
+    return int(found[1]) if found and len(found[1]) <= _MICROSECONDS else None

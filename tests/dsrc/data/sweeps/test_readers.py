@@ -1,0 +1,79 @@
+"""Every layout gives the scene that its files hold."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.data.datasets.check import check_dataset
+from dsrc.data.drives import Drive, find_drives, open_drive, open_drives
+from tests.dsrc.data.sweeps import trees
+from tests.dsrc.data.sweeps.scene import FRAMES, INTERVAL_S, SPEED_MPS, instant
+
+
+def opened(make: Callable[[Path], Path], folder: Path) -> Drive:
+    (drive,) = open_drives(make(folder))
+    assert find_drives(drive.drive) == [drive.drive]
+    assert check_dataset(folder) == []
+    assert len(drive) == FRAMES
+    assert open_drive(drive.drive).digest() == drive.digest()
+    return drive
+
+
+def check_tracks(drive: Drive, tolerance_m: float) -> None:
+    """Check poses, boxes, ids, times and speeds against the scene; the map of a data set is the scene's world."""
+    for i in range(FRAMES):
+        frame, now = drive.read(i), instant(i)
+        sweep = frame.agents[0].sweep
+        assert np.abs(sweep.world_from_lidar - now.world_from_lidar).max() < tolerance_m
+        assert np.abs(frame.truth.array - now.boxes.array).max() < tolerance_m
+        assert frame.truth.label.tolist() == now.boxes.label.tolist()
+        assert frame.truth.object_id.tolist() == [1, 2]
+        assert frame.time_s == pytest.approx(now.time_s)
+        assert frame.agents[0].speed == pytest.approx(SPEED_MPS)
+        assert np.linalg.norm(frame.velocity[0]) == pytest.approx(SPEED_MPS, abs=1e-3)
+        assert (frame.points_on[0] >= 100).all()
+        assert np.abs(frame.agents[0].world_from_body[2, 3]) < 0.2
+
+
+def test_argoverse(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    drive = opened(trees.argoverse, tmp_path)
+    check_tracks(drive, 1e-9)
+    for i in range(FRAMES):
+        sweep, now = drive.read(i).agents[0].sweep, instant(i)
+        # Coordinates of half precision: 1.6 cm beyond 32 m.
+        assert np.abs(sweep.points - now.points[:, :3]).max() < 0.02
+        assert np.array_equal(sweep.intensity, now.points[:, 3])
+
+
+def test_nuscenes(tmp_path: Path) -> None:
+    drive = opened(trees.nuscenes, tmp_path)
+    assert drive.drive.name == "scene-0061"
+    check_tracks(drive, 1e-9)
+    for i in range(FRAMES):
+        sweep, now = drive.read(i).agents[0].sweep, instant(i)
+        assert np.abs(sweep.points - now.points[:, :3]).max() < 1e-5
+        assert np.array_equal(sweep.intensity, now.points[:, 3])
+        assert np.array_equal(sweep.ring, 31 - now.ring.astype(int))
+        assert sweep.spec is not None
+        assert sweep.spec.name == "hdl-32e"
+
+
+def test_a_folder_of_scans(tmp_path: Path) -> None:
+    drive = opened(trees.scans, tmp_path)
+    for i in range(FRAMES):
+        frame, now = drive.read(i), instant(i)
+        assert np.array_equal(frame.agents[0].sweep.points, now.points[:, :3])
+        assert np.abs(frame.truth.array - now.local.array).max() < 1e-9
+        assert frame.truth.label.tolist() == now.local.label.tolist()
+        assert frame.time_s == pytest.approx(i * INTERVAL_S)
+
+
+def test_scans_without_boxes_and_a_single_scan_are_drives_without_truth(tmp_path: Path) -> None:
+    trees.scans(tmp_path, labelled=False)
+    for path in (tmp_path, tmp_path / "scans" / "0001.npy"):
+        (drive,) = open_drives(path)
+        assert not any(drive.labelled(i) for i in range(len(drive)))
+        assert len(drive.read(0).truth) == 0

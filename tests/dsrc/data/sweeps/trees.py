@@ -1,0 +1,252 @@
+"""Test files in the layouts of other data sets, written by their libraries, else by hand after their documents."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sim.boxes import CLASSES, Boxes
+from sim.geometry import invert, pose_matrix, transform_points
+from tests.dsrc.data.sweeps.scene import FRAMES, HEIGHT_M, instant
+
+# A calibration of KITTI's first recording day, as published with the object benchmark (000000.txt), to 6 digits.
+P2 = np.array(
+    [[707.0493, 0.0, 604.0814, 45.75831], [0.0, 707.0493, 180.5066, -0.3454157], [0.0, 0.0, 1.0, 0.004981016]]
+)
+CAMERA_FROM_VELO = np.array(
+    [
+        [6.927964e-03, -9.999722e-01, -2.757829e-03, -2.457729e-02],
+        [-1.162982e-03, 2.749836e-03, -9.999955e-01, -6.127237e-02],
+        [9.999753e-01, 6.931141e-03, -1.143899e-03, -3.321029e-01],
+    ]
+)
+KITTI_NAMES = {"car": "Car", "pedestrian": "Pedestrian"}
+
+
+def numbers(values: NDArray[np.float64]) -> str:
+    """Return a row of numbers as KITTI's calibrations have them."""
+    return " ".join(f"{value:.12e}" for value in np.ravel(values))
+
+
+def kitti_line(boxes: Boxes, row: int, before: str = "") -> str:
+    """Return a label after the development kit's readme.
+
+    `type truncated occluded alpha left top right bottom height width length x y z rotation_y`, the location the
+    middle of the bottom in the rectified camera's frame (x right, y down, z forward).
+    """
+    bottom = boxes.center[row] - [0.0, 0.0, boxes.size[row, 2] / 2]
+    x, y, z = CAMERA_FROM_VELO @ [*bottom, 1.0]
+    u, v, w = P2 @ [*(CAMERA_FROM_VELO @ [*boxes.center[row], 1.0]), 1.0]
+    length, width, height = boxes.size[row]
+    turn = -boxes.yaw[row] - np.pi / 2
+    left, top = u / w - 30, v / w - 30
+    return (
+        f"{before}{KITTI_NAMES[CLASSES[boxes.label[row]]]} 0.00 0 {turn - np.arctan2(x, z):.2f} {left:.2f} {top:.2f}"
+        f" {left + 60:.2f} {top + 60:.2f} {height:.6f} {width:.6f} {length:.6f} {x:.6f} {y:.6f} {z:.6f} {turn:.6f}\n"
+    )
+
+
+def kitti_calibration(sign: str = ":") -> str:
+    """Return the text of a calibration of the object benchmark."""
+    rows = {f"P{k}": P2 for k in range(4)} | {"R0_rect": np.eye(3), "Tr_velo_to_cam": CAMERA_FROM_VELO}
+    rows["Tr_imu_to_velo"] = np.eye(4)[:3]
+    return "".join(f"{name}{sign} {numbers(row)}\n" for name, row in rows.items()) + "\n"
+
+
+def kitti_object(folder: Path, more: str = "") -> Path:
+    """KITTI's object tree, after the development kit's readme; `more` is added to each label file."""
+    for name in ("velodyne", "label_2", "calib"):
+        (folder / "training" / name).mkdir(parents=True)
+    for index in range(FRAMES):
+        now = instant(index)
+        (folder / f"training/velodyne/{index:06d}.bin").write_bytes(now.points.tobytes())
+        text = "".join(kitti_line(now.local, row) for row in range(len(now.local)))
+        (folder / f"training/label_2/{index:06d}.txt").write_text(text + more)
+        (folder / f"training/calib/{index:06d}.txt").write_text(kitti_calibration())
+    return folder
+
+
+def scans(folder: Path, labelled: bool = True) -> Path:
+    """Folder of `.npy` scans, and their boxes in JSON."""
+    (folder / "scans").mkdir(parents=True)
+    frames = []
+    for index in range(FRAMES):
+        now = instant(index)
+        np.save(folder / "scans" / f"{index:04d}.npy", now.points)
+        names = [CLASSES[one] for one in now.local.label]
+        ids = now.local.object_id.tolist()
+        frames.append({"frame": index, "boxes": now.local.array.tolist(), "classes": names, "ids": ids})
+    if labelled:
+        (folder / "scans" / "boxes.json").write_text(json.dumps({"frames": frames}))
+    return folder
+
+
+def world_points(index: int) -> NDArray[np.float64]:
+    """(P, 3) points of a frame in the world."""
+    now = instant(index)
+    return np.asarray(transform_points(now.world_from_lidar, now.points[:, :3].astype(np.float64)))
+
+
+def argoverse(folder: Path) -> Path:
+    """Log of Argoverse 2 by pyarrow, columns and types as in the user guide of the API `av2` (sensor dataset)."""
+    import pyarrow
+    from pyarrow import feather
+
+    log = folder / "adcf7d18-0510-35b0-a2fa-b4cea13a6d76"
+    (log / "sensors" / "lidar").mkdir(parents=True)
+    (log / "calibration").mkdir()
+    body_from_lidar = pose_matrix([1.35, 0.0, HEIGHT_M - 0.33], 0.02)
+    start, lists = 315_966_265_259_836_000, {name: [] for name in _AV2_BOX}
+    cars: dict[str, list] = {name: [] for name in ("timestamp_ns", *_AV2_POSE)}
+    for index in range(FRAMES):
+        now, stamp = instant(index), start + index * 100_000_000
+        cars["timestamp_ns"].append(stamp)
+        _add_pose(cars, now.world_from_lidar @ invert(body_from_lidar))
+        points = transform_points(body_from_lidar, now.points[:, :3].astype(np.float64))
+        table = {name: pyarrow.array(points[:, k].astype(np.float16)) for k, name in enumerate("xyz")}
+        table["intensity"] = pyarrow.array(np.round(now.points[:, 3] * 255).astype(np.uint8))
+        table["laser_number"] = pyarrow.array(now.ring)
+        table["offset_ns"] = pyarrow.array(np.zeros(len(points), np.int32))
+        feather.write_feather(pyarrow.table(table), log / "sensors" / "lidar" / f"{stamp}.feather", compression="lz4")
+        for row, box in enumerate(now.local.transform(body_from_lidar).array):
+            lists["timestamp_ns"].append(stamp)
+            lists["track_uuid"].append(f"00000000-0000-0000-0000-{now.local.object_id[row]:012d}")
+            lists["category"].append({"car": "REGULAR_VEHICLE"}.get(CLASSES[now.local.label[row]], "PEDESTRIAN"))
+            for name, value in zip(("length_m", "width_m", "height_m"), box[3:6], strict=True):
+                lists[name].append(value)
+            _add_pose(lists, pose_matrix(box[:3], box[6]))
+            lists["num_interior_pts"].append(120)
+    feather.write_feather(pyarrow.table(lists), log / "annotations.feather", compression="uncompressed")
+    feather.write_feather(pyarrow.table(cars), log / "city_SE3_egovehicle.feather", compression="uncompressed")
+    mounts: dict[str, list] = {name: [] for name in ("sensor_name", *_AV2_POSE)}
+    for name, pose in (("down_lidar", np.diag([1.0, -1.0, -1.0, 1.0])), ("up_lidar", body_from_lidar)):
+        mounts["sensor_name"].append(name)
+        _add_pose(mounts, pose)
+    feather.write_feather(pyarrow.table(mounts), log / "calibration" / "egovehicle_SE3_sensor.feather")
+    return folder
+
+
+_AV2_POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+_AV2_BOX = (
+    *("timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m"),
+    *_AV2_POSE,
+    "num_interior_pts",
+)
+
+
+def quaternion(pose: NDArray[np.float64]) -> list[float]:
+    """Quaternion w, x, y, z of a pose, by scipy."""
+    return [float(value) for value in Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)]
+
+
+def _add_pose(table: dict[str, list], pose: NDArray[np.float64]) -> None:
+    for name, value in zip(_AV2_POSE, [*quaternion(pose), *pose[:3, 3].tolist()], strict=True):
+        table[name].append(value)
+
+
+def nuscenes(folder: Path) -> Path:
+    """Tables of nuScenes by hand, after docs/schema_nuscenes.md of nuscenes-devkit, which reads them in the tests."""
+    version = folder / "v1.0-mini"
+    version.mkdir(parents=True)
+    (folder / "samples" / "LIDAR_TOP").mkdir(parents=True)
+    # The LiDAR's x points to the right there.
+    body_from_lidar = pose_matrix([0.94, 0.0, 1.84], -np.pi / 2)
+    ours_from_theirs = pose_matrix([0.0, 0.0, 0.0], -np.pi / 2)
+    tables: dict[str, list] = {
+        "log": [{"token": "l", "logfile": "x", "vehicle": "n", "date_captured": "2018-07-24", "location": "boston"}],
+        "map": [{"token": "m", "log_tokens": ["l"], "category": "semantic_prior", "filename": ""}],
+        "sensor": [
+            {"token": "s0", "channel": "CAM_FRONT", "modality": "camera"},
+            {"token": "s1", "channel": "LIDAR_TOP", "modality": "lidar"},
+        ],
+        "calibrated_sensor": [
+            {
+                "token": "c1",
+                "sensor_token": "s1",
+                "translation": body_from_lidar[:3, 3].tolist(),
+                "rotation": quaternion(body_from_lidar),
+                "camera_intrinsic": [],
+            }
+        ],
+        "category": [
+            {"token": "k1", "name": "vehicle.car", "description": ""},
+            {"token": "k2", "name": "human.pedestrian.adult", "description": ""},
+        ],
+        "attribute": [],
+        "visibility": [{"token": "4", "level": "v80-100", "description": ""}],
+        "instance": [
+            {
+                "token": f"i{one}",
+                "category_token": f"k{one}",
+                "nbr_annotations": FRAMES,
+                "first_annotation_token": f"a0_{one}",
+                "last_annotation_token": f"a{FRAMES - 1}_{one}",
+            }
+            for one in (1, 2)
+        ],
+        "scene": [
+            {
+                "token": "w",
+                "log_token": "l",
+                "nbr_samples": FRAMES,
+                "first_sample_token": "f0",
+                "last_sample_token": f"f{FRAMES - 1}",
+                "name": "scene-0061",
+                "description": "",
+            }
+        ],
+        "sample": [],
+        "sample_data": [],
+        "ego_pose": [],
+        "sample_annotation": [],
+    }
+    for index in range(FRAMES):
+        now, stamp = instant(index), 1_532_402_927_647_951 + index * 100_000
+        name = f"samples/LIDAR_TOP/n015-2018-07-24__LIDAR_TOP__{stamp}.pcd.bin"
+        theirs = transform_points(invert(ours_from_theirs), now.points[:, :3].astype(np.float64))
+        rows = np.column_stack([theirs, np.round(now.points[:, 3] * 255), now.ring])
+        (folder / name).write_bytes(rows.astype("<f4").tobytes())
+        body = now.world_from_lidar @ ours_from_theirs @ invert(body_from_lidar)
+        pose = {"timestamp": stamp, "rotation": quaternion(body), "translation": body[:3, 3].tolist()}
+        tables["ego_pose"].append({"token": f"e{index}", **pose})
+        around = {"prev": f"f{index - 1}" if index else "", "next": f"f{index + 1}" if index + 1 < FRAMES else ""}
+        tables["sample"].append({"token": f"f{index}", "timestamp": stamp, "scene_token": "w", **around})
+        tables["sample_data"].append(
+            {
+                "token": f"d{index}",
+                "sample_token": f"f{index}",
+                "ego_pose_token": f"e{index}",
+                "calibrated_sensor_token": "c1",
+                "filename": name,
+                "fileformat": "pcd",
+                "width": 0,
+                "height": 0,
+                "timestamp": stamp,
+                "is_key_frame": True,
+                "prev": "",
+                "next": "",
+            }
+        )
+        for row, box in enumerate(now.boxes.array):
+            one = int(now.boxes.object_id[row])
+            tables["sample_annotation"].append(
+                {
+                    "token": f"a{index}_{one}",
+                    "sample_token": f"f{index}",
+                    "instance_token": f"i{one}",
+                    "attribute_tokens": [],
+                    "visibility_token": "4",
+                    "translation": box[:3].tolist(),
+                    "size": [box[4], box[3], box[5]],
+                    "rotation": quaternion(pose_matrix(box[:3], box[6])),
+                    "num_lidar_pts": 120,
+                    "num_radar_pts": 0,
+                    "prev": f"a{index - 1}_{one}" if index else "",
+                    "next": f"a{index + 1}_{one}" if index + 1 < FRAMES else "",
+                }
+            )
+    for name, rows in tables.items():
+        (version / f"{name}.json").write_text(json.dumps(rows))
+    return folder
