@@ -5,10 +5,14 @@ stack trace. A message names the file, the field, what was expected, what was fo
 """
 
 import difflib
+import logging
 import reprlib
 import warnings
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
+
+_log = logging.getLogger(__name__)
 
 GOES = "2027-06-01"
 """Date of the release without the names that are deprecated now."""
@@ -65,6 +69,15 @@ def unreadable(file: Path | str, what: str, error: Exception) -> str:
     """Return the one-line message of a file that a parser refuses."""
     said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return f"{one_line(file, 1000)}: not a readable {what}: {one_line(said, 200) or type(error).__name__}"
+
+
+@lru_cache(maxsize=64)
+def notice(text: str) -> None:
+    """Warn of what goes on without something that it lacks or cannot keep.
+
+    Each text is logged once per process: a drive has thousands of sweeps of one kind.
+    """
+    _log.warning("%s", text)
 
 
 def option(name: str) -> str:

@@ -1,5 +1,6 @@
 """Options of commands that write drives: `dsrc generate`, `corrupt` and `dataset`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,9 +15,13 @@ if TYPE_CHECKING:
 
     AnyScenario = scenario.Scenario | str | Path
     Place = str | tuple[float, float]
+    Columns = str | Sequence[str]
+    IntensityScale = str | float
 else:
     AnyScenario = Scenario
     Place = Annotated[str, arg(metavar="X,Y")]
+    Columns = Annotated[str, arg(metavar="NAME[,NAME...]")]
+    IntensityScale = Annotated[str, arg(metavar="{NUMBER,waymo}")]
 """Scenario, its name or the path of its file; on the command line one of the latter."""
 
 
@@ -87,6 +92,10 @@ class CorruptOptions(msgspec.Struct, frozen=True):
             counterfactual: it acts on their sensors and nowhere else.
         set: settings in place of the severity's, such as calibration=hdl64.npz; default: none.
         sensor: preset of the LiDAR of scans, such as hdl-64e-s2; default: rings are found in the points.
+        columns: columns of scans in .bin, .pcd.bin or .npy, such as x,y,z,intensity,ring,time; further ones stay with
+            their points, _ is any; default: those of the format.
+        intensity_scale: intensity of scans that means 1, such as 65535, or waymo; default: 1 or 255, found over all
+            scans.
         seed: seed of the corruption; every drive draws its own weather and faults from it.
         reuse: folders of earlier corruptions, perhaps `out`: frames and scans whose settings agree in all but code are
             taken from them, which is recorded; default: none.
@@ -101,6 +110,8 @@ class CorruptOptions(msgspec.Struct, frozen=True):
     corrupted_agents: AgentsText = "all"
     set: Annotated[tuple[str, ...], arg(metavar="FIELD=VALUE [...]")] = ()
     sensor: str | None = None
+    columns: Columns | None = None
+    intensity_scale: IntensityScale | None = None
     seed: int = 0
     reuse: tuple[Folder, ...] = ()
 

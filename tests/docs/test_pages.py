@@ -159,6 +159,9 @@ def write_clouds(folder: Path) -> None:
     (folder / "nuscenes/samples/LIDAR_TOP/1.pcd.bin").write_bytes(
         np.column_stack([points, 31 - sweep.ring]).astype(np.float32).tobytes()
     )
+    (folder / "painted").mkdir()
+    scores = np.full((len(points), 4), 0.25, np.float32)
+    (folder / "painted/000007.bin").write_bytes(np.hstack([points, scores]).tobytes())
     np.save(folder / "scan.npy", points)
 
 

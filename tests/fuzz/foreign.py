@@ -50,22 +50,51 @@ def _scans(root: Path) -> list[Target]:
     (labels / "000001.label").write_bytes(np.where(np.arange(len(cloud)) % 3, 40, 10).astype("<u4").tobytes())
     (alone / "1.pcd.bin").write_bytes(np.hstack([cloud * [1, 1, 1, 255], ring]).astype("<f4").tobytes())
     np.save(alone / "1.npy", cloud[:40])
-    head = "ply\nformat {}\nelement vertex 40\n" + "".join(f"property float {name}\n" for name in ("x", "y", "z", "i"))
+    head = "ply\nformat {}\nelement face 0\nproperty list uchar int vertex_indices\nelement vertex 40\n" + "".join(
+        f"property float {name}\n" for name in ("x", "y", "z", "i")
+    )
     (alone / "1.ply").write_bytes(
         f"{head.format('binary_big_endian 1.0')}end_header\n".encode() + cloud[:40].astype(">f4").tobytes()
     )
     rows = "".join(" ".join(map(str, row)) + "\n" for row in cloud[:40].tolist())
     (alone / "2.ply").write_text(f"{head.format('ascii 1.0')}end_header\n{rows}")
 
-    def target(name: str, file: Path, scan: Path, corruption: str, kind: str = "text") -> Target:
+    painted, padded = alone / "8.bin", alone / "1.pcd"
+    painted.write_bytes(np.hstack([cloud[:40], cloud[:40]]).astype("<f4").tobytes())
+    names = "FIELDS x y z _ intensity ring _\nSIZE 4 4 4 1 4 2 1\nTYPE F F F U F U U\nCOUNT 1 1 1 4 1 1 0\n"
+    record = np.dtype([("xyz", "<f4", 3), ("_", "u1", 4), ("i", "<f4"), ("ring", "<u2")])
+    table = np.zeros(40, record)
+    table["xyz"], table["i"] = cloud[:40, :3], cloud[:40, 3]
+    place = "WIDTH 10\nHEIGHT 4\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS 40\nDATA binary\n"
+    padded.write_bytes(f"VERSION 0.7\n{names}{place}".encode() + table.tobytes() + b"\n")
+    words = alone / "columns.txt"
+    words.write_text("x,y,z,intensity,_,_,_,_\n255")
+
+    def declared(path: Path) -> object:
+        columns, _, scale = path.read_text("utf-8", "replace").partition("\n")
+        with tempfile.TemporaryDirectory(dir=root) as made:
+            return corrupt_dataset(painted, Path(made) / "8.bin", "fog", columns=columns, intensity_scale=scale)
+
+    def target(name: str, file: Path, scan: Path, corruption: str, kind: str = "text", **options: str) -> Target:
         def read(_: Path) -> object:
             with tempfile.TemporaryDirectory(dir=root) as made:
-                return corrupt_dataset(scan, Path(made) / scan.name, corruption)
+                return corrupt_dataset(scan, Path(made) / scan.name, corruption, **options)
 
         return Target(f"scan, {name}", file, read, kind)
 
     return [
         target("KITTI", alone / "1.bin", alone / "1.bin", "beam_missing", "bytes"),
+        target(
+            "eight columns",
+            painted,
+            painted,
+            "motion_blur",
+            "bytes",
+            columns="x,y,z,i,_,_,_,_",
+            intensity_scale="waymo",
+        ),
+        target("PCD of ROS", padded, padded, "noise"),
+        Target("scan, --columns and --intensity-scale", words, declared, "text", False),
         target("nuScenes", alone / "1.pcd.bin", alone / "1.pcd.bin", "fog", "bytes"),
         target("numpy", alone / "1.npy", alone / "1.npy", "noise"),
         target("PLY, binary", alone / "1.ply", alone / "1.ply", "snow"),

@@ -1,7 +1,8 @@
 """Clouds of any source: a table of points to a sweep, and the corrupted sweep back to such a table.
 
 Points that a corruption leaves as they are keep every column bit for bit; those that it moves or dims get new
-coordinates and intensities; those that it adds get these, their ring, and zeros.
+coordinates and intensities; those that it adds get these, their ring, and zeros. Rows without a return, at the origin
+or not finite, are no points: they stay in the table where they are.
 """
 
 from dataclasses import dataclass
@@ -11,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from dsrc.data.clouds.columns import has_return
+from dsrc.data.clouds.intensity import Intensities, Scale, from_unit, to_unit
 from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY
 from sensors.corruptions.physics.rings import estimate_rings
 from sensors.spec import LidarSpec
 from sensors.sweep import ADDED, Sweep, make_sweep
 from sim.errors import DataError, SettingsError, complaint
-
-EIGHT_BIT = 255.0
 
 _FIRST_ROW = ADDED - 1
 """`object_id` of the point of row 0 in the table, -1 for each row: no object, not added, and kept by corruptions."""
@@ -32,17 +33,22 @@ class Cloud:
         axes: names of x, y, z.
         intensity: name of the intensity, None where unknown.
         ring: name of the beam index, counted from the top or from the bottom, None where unknown.
-        full_scale: intensity that means 1; None takes 255 where one exceeds 1.
+        scale: of the intensity; None finds it in the table, see `Intensities`.
     """
 
     table: NDArray[np.void]
     axes: tuple[str, str, str] = ("x", "y", "z")
     intensity: str | None = None
     ring: str | None = None
-    full_scale: float | None = None
+    scale: Scale | None = None
 
     def __len__(self) -> int:
         return len(self.table)
+
+    @property
+    def returns(self) -> NDArray[np.bool_]:
+        """(P,) mask of the rows that are points."""
+        return has_return(np.stack([self.table[name] for name in self.axes], axis=1))
 
     def sweep(self, spec: LidarSpec | None = None, on_vehicle: NDArray[np.bool_] | None = None) -> Sweep:
         """Return the points as a sweep whose ids lead back to the rows.
@@ -52,14 +58,16 @@ class Cloud:
             on_vehicle: (P,) mask of points on vehicles, each of which becomes an object with the id of its row.
 
         Raises:
-            DataError: an intensity or a ring is out of its range.
+            DataError: an intensity or a ring is out of its range, or the intensities' scale cannot be found.
             SettingsError: the sensor has no rings to find.
         """
-        points = np.stack([self.table[name] for name in self.axes], axis=1).astype(np.float32)
-        row = np.arange(len(self))
-        ids = _FIRST_ROW - row if on_vehicle is None else np.where(on_vehicle, row, _FIRST_ROW - row)
-        columns: dict[str, Any] = {"intensity": self._unit(self.table), "object_id": ids}
-        ring = self._ring_from_top(spec)
+        row = np.flatnonzero(self.returns)
+        table = self.table[row]
+        with np.errstate(over="ignore"):  # what is beyond float32 is refused where points are corrupted
+            points = np.stack([table[name] for name in self.axes], axis=1).astype(np.float32)
+        ids = _FIRST_ROW - row if on_vehicle is None else np.where(on_vehicle[row], row, _FIRST_ROW - row)
+        columns: dict[str, Any] = {"intensity": self._unit(self._scale)[row], "object_id": ids}
+        ring = self._ring_from_top(table, spec)
         if ring is None and spec is not None:
             ring = beams_of(points, spec)
         if ring is not None:
@@ -70,58 +78,76 @@ class Cloud:
         return make_sweep(points, spec=spec, **columns)
 
     def of(self, sweep: Sweep) -> NDArray[np.void]:
-        """Return the table of a corrupted sweep that `sweep` has made."""
-        row = rows_of(sweep)
-        table, kept = np.zeros(len(row), self.table.dtype), row >= 0
+        """Return the (Q,) table of a corrupted sweep that `sweep` has made; `rows` tells where its rows are from."""
+        row, order = self._order(sweep)
+        table, points = np.zeros(len(row), self.table.dtype), slice(len(sweep))
+        kept = row >= 0
         table[kept] = self.table[row[kept]]
+        new, kept = table[points], kept[points]
         for axis, name in enumerate(self.axes):
-            new = sweep.points[:, axis]
-            _replace(table, name, ~kept | (table[name].astype(np.float32) != new), new)
-        if self.intensity is not None:
-            changed = ~kept | (self._unit(table) != sweep.intensity)
-            _replace(table, self.intensity, changed, sweep.intensity * np.float64(self._scale))
+            there = sweep.points[:, axis]
+            _replace(new, name, ~kept | (new[name].astype(np.float32) != there), there)
+        if self.intensity is not None and len(self):
+            scale = self._scale
+            changed = ~kept | (self._unit(scale)[row[points]] != sweep.intensity)
+            _replace(new, self.intensity, changed, from_unit(sweep.intensity, scale))
         if self.ring is not None and not kept.all():
-            top = self._from_bottom(sweep.spec)
-            _replace(table, self.ring, ~kept, sweep.ring if top is None else top - sweep.ring)
-        return table
+            top = self._from_bottom(self.table[self.returns], sweep.spec)
+            _replace(new, self.ring, ~kept, sweep.ring if top is None else top - sweep.ring)
+        return table[order]
+
+    def rows(self, sweep: Sweep) -> NDArray[np.int64]:
+        """Return (Q,) the row in the table of each row of `of(sweep)`, -1 for added points."""
+        row, order = self._order(sweep)
+        return row[order]
+
+    def _order(self, sweep: Sweep) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+        """Return the rows of the points of a sweep, then those without a return; and their order by the rows."""
+        found, silent = rows_of(sweep), np.flatnonzero(~self.returns)
+        # An added point comes before the kept one that it precedes in the sweep, else at the end of all.
+        place = np.minimum.accumulate(np.where(found >= 0, found, len(self))[::-1])[::-1]
+        return np.concatenate([found, silent]), np.argsort(np.concatenate([place, silent]), kind="stable")
 
     @property
-    def _scale(self) -> float:
-        if self.full_scale is not None or self.intensity is None or not len(self):
-            return self.full_scale or 1.0
-        return 1.0 if float(self.table[self.intensity].max()) <= 1.0 else EIGHT_BIT
+    def _scale(self) -> Scale:
+        if self.scale is not None or self.intensity is None:
+            return self.scale or 1.0
+        return Intensities.of(self.table[self.intensity][self.returns], "points").scale("points")
 
-    def _unit(self, table: NDArray[np.void]) -> NDArray[np.float32]:
-        """Return the intensities of a table in [0, 1]; those of a dull surface where they are unknown."""
+    def _unit(self, scale: Scale) -> NDArray[np.float32]:
+        """Return the (P,) intensities in [0, 1]; those of a dull surface where they are unknown."""
         if self.intensity is None:
-            return np.full(len(table), DEFAULT_REFLECTIVITY, np.float32)
-        return (table[self.intensity] / np.float64(self._scale)).astype(np.float32)
+            return np.full(len(self), DEFAULT_REFLECTIVITY, np.float32)
+        return to_unit(self.table[self.intensity], scale)
 
-    def _ring_from_top(self, spec: LidarSpec | None) -> NDArray[np.int64] | None:
-        """Return (P,) rings with 0 on top; None without a column of them."""
+    def _ring_from_top(self, table: NDArray[np.void], spec: LidarSpec | None) -> NDArray[np.int64] | None:
+        """Return (P,) rings of a table with 0 on top; None without a column of them."""
         if self.ring is None:
             return None
-        ring = self.table[self.ring]
+        ring = table[self.ring]
         most = np.iinfo(np.int16).max
         if len(ring) and not ((ring >= 0) & (ring <= most) & (ring == np.floor(ring))).all():
             expected = f"whole numbers from 0 to {most}"
             raise DataError(complaint("points", "ring", expected, f"{ring.min():g} to {ring.max():g}"))
-        top = self._from_bottom(spec)
+        top = self._from_bottom(table, spec)
         return ring.astype(np.int64) if top is None else top - ring.astype(np.int64)
 
-    def _from_bottom(self, spec: LidarSpec | None) -> int | None:
-        """Return the number of the top ring where rings count from the bottom, else None."""
-        if self.ring is None or len(self) == 0:
+    def _from_bottom(self, table: NDArray[np.void], spec: LidarSpec | None) -> int | None:
+        """Return the number of the top ring where rings of a table count from the bottom, else None."""
+        if self.ring is None or len(table) == 0:
             return None
-        ring = self.table[self.ring].astype(np.float64)
-        x, y, z = (self.table[name].astype(np.float64) for name in self.axes)
+        ring = table[self.ring].astype(np.float64)
+        x, y, z = (table[name].astype(np.float64) for name in self.axes)
         elevation = np.arctan2(z, np.hypot(x, y))
         rises = float(((ring - ring.mean()) * elevation).sum()) > 0.0
         return max(int(ring.max()), -1 if spec is None else spec.rings - 1) if rises else None
 
 
 def rows_of(sweep: Sweep) -> NDArray[np.int64]:
-    """Return (P,) the row in the table of each point of a sweep of `Cloud.sweep`, -1 for added points."""
+    """Return (P,) the row in the table of each point of a sweep of `Cloud.sweep`, -1 for added points.
+
+    Rows without a return are in no sweep; `Cloud.rows` has them too.
+    """
     found = sweep.object_id.astype(np.int64)
     return np.where(found >= 0, found, np.where(found == ADDED, -1, _FIRST_ROW - found))
 

@@ -4,12 +4,16 @@ A cloud is taken for a frame of a drive with one agent, id 0, whose sensor is th
 `corrupt_frame` gives that frame. Kinds that act on objects need boxes, or a mask of the points on vehicles.
 """
 
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dsrc.data.clouds.cloud import Cloud
+from dsrc.data.clouds.columns import meaning, parse_columns
+from dsrc.data.clouds.intensity import Scale, parse_scale
+from dsrc.data.formats.pcd import padded
 from sensors.corruptions import CLEAN, CORRUPTIONS, DEFAULT_SEVERITY, Condition, Family, settings_of
 from sensors.corruptions.incomplete_echo import on_vehicles
 from sensors.frame import AgentFrame, Frame
@@ -37,6 +41,8 @@ def corrupt(
     boxes: ArrayLike | None = None,
     on_vehicle: NDArray[np.bool_] | None = None,
     ring: int | None = None,
+    columns: Sequence[str] | None = None,
+    intensity_scale: Scale | None = None,
     family: Family | None = None,
     preset: str | None = None,
     index: int = 0,
@@ -45,8 +51,9 @@ def corrupt(
     """Corrupt one cloud: an array of points of any data set, or a sweep.
 
     Args:
-        points: (P, C) x forward, y left, z up in the sensor frame, m; intensity from 0 to 1 or to 255 where C > 3; or
-            a `Sweep`. Further columns stay with their points and are 0 in added ones.
+        points: (P, C) x forward, y left, z up in the sensor frame, m; intensity where C > 3; or a `Sweep`. Further
+            columns stay with their points and are 0 in added ones. Rows without a return, at the origin or not
+            finite, stay as they are.
         kind: key of `sensors.corruptions.CORRUPTIONS`, or `clean`.
         severity: 1 to 5; None for 3, the DSRC paper's, or with a preset.
         seed: of the drive; its weather and its faults that stay are the same for all `index`.
@@ -56,6 +63,9 @@ def corrupt(
             velocities x, y, m/s.
         on_vehicle: (P,) mask of the points on vehicles, instead of boxes.
         ring: column of the beam index, from the top or from the bottom; None where there is none.
+        columns: names of the C columns in order, with x, y and z, and perhaps intensity and ring; None for x y z
+            intensity and anything. A column of no matter may be `_`.
+        intensity_scale: intensity that means 1, such as 65535, or `waymo`; None finds 1 or 255 in the points.
         family: of the settings: physical causes or published models; None for physical, or with a preset.
         preset: published settings by name in place of `severity` and `family`, see `sensors.corruptions.PRESETS`.
         index: number of the frame, 0.1 s apart.
@@ -75,12 +85,13 @@ def corrupt(
     if boxes is not None and on_vehicle is not None:
         raise SettingsError(complaint("corrupt", "boxes", "either boxes or on_vehicle", "both"))
     if isinstance(points, Sweep):
-        given = {"sensor": sensor, "on_vehicle": on_vehicle, "ring": ring}
+        given: dict[str, Any] = {"sensor": sensor, "on_vehicle": on_vehicle, "ring": ring, "columns": columns}
+        given["intensity_scale"] = intensity_scale
         if found := [name for name, value in given.items() if value is not None]:
             raise SettingsError(f"corrupt: a sweep has its own; leave out {found[0]}")
         labelled = bool((points.object_id >= 0).any())
         return corrupt_sweep(points, condition, seed, labelled=labelled, **frame)
-    cloud = cloud_of(points, ring)
+    cloud = cloud_of(points, ring, columns, intensity_scale)
     spec = get_lidar(sensor) if isinstance(sensor, str) else sensor
     if on_vehicle is not None and np.shape(on_vehicle) != (len(cloud),):
         raise DataError(complaint("corrupt", "on_vehicle", f"a mask of shape ({len(cloud)},)", np.shape(on_vehicle)))
@@ -89,23 +100,46 @@ def corrupt(
     return array_of(cloud.of(after), np.asarray(points).dtype)
 
 
-def cloud_of(points: ArrayLike, ring: int | None = None) -> Cloud:
-    """Return an array of points as a cloud; DataError for another shape or type.
+def cloud_of(
+    points: ArrayLike,
+    ring: int | None = None,
+    columns: Sequence[str] | None = None,
+    intensity_scale: Scale | None = None,
+) -> Cloud:
+    """Return an array of points as a cloud.
 
     Args:
-        points: (P, C) x, y, z, intensity where C > 3, anything.
+        points: (P, C) x, y, z, intensity where C > 3, anything; or `columns`.
         ring: column of the beam index.
+        columns: names of the columns.
+        intensity_scale: see `corrupt`.
+
+    Raises:
+        DataError: points of another shape or type.
+        SettingsError: a ring that is no column, or that is named too; a name that is missing or comes twice.
     """
-    rows = np.ascontiguousarray(points)
+    rows, names, scale = np.ascontiguousarray(points), parse_columns(columns), parse_scale(intensity_scale)
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind != "f":
         found = f"{rows.dtype} {rows.shape}"
         raise DataError(complaint("points", "shape", "floats of shape (P, 3), (P, 4) or more columns", found))
-    if ring is not None and not 3 <= ring < rows.shape[1]:
-        raise SettingsError(complaint("corrupt", "ring", f"a column from 3 to {rows.shape[1] - 1}", ring))
-    names = [str(column) for column in range(rows.shape[1])]
-    table = rows.view([(name, rows.dtype) for name in names])[:, 0]
-    intensity = "3" if len(names) > 3 and ring != 3 else None
-    return Cloud(table, ("0", "1", "2"), intensity, None if ring is None else str(ring))
+    width = rows.shape[1]
+    if ring is not None and (names is not None or not 3 <= ring < width):
+        expected = f"a column from 3 to {width - 1}, or its name among the columns"
+        raise SettingsError(complaint("corrupt", "ring", expected, ring))
+    if names is None:
+        fields = [str(column) for column in range(width)]
+        intensity = "3" if width > 3 and ring != 3 else None
+        return Cloud(_table(rows, fields), ("0", "1", "2"), intensity, None if ring is None else str(ring), scale)
+    if len(names) != width:
+        raise DataError(
+            complaint("points", "columns", f"{width}, as the points have", f"{len(names)}: {','.join(names)}")
+        )
+    fields = [padded(name, column) for column, name in enumerate(names)]
+    return Cloud(_table(rows, fields), *meaning("points", fields), scale)
+
+
+def _table(rows: NDArray[np.generic], fields: list[str]) -> NDArray[np.void]:
+    return rows.view([(name, rows.dtype) for name in fields])[:, 0]
 
 
 def array_of(table: NDArray[np.void], dtype: np.dtype) -> NDArray[np.generic]:

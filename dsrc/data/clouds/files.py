@@ -2,32 +2,37 @@
 
 | file               | columns                                          | data sets                          |
 |--------------------|--------------------------------------------------|------------------------------------|
-| `.bin`             | x y z intensity, float32                         | KITTI, SemanticKITTI               |
-| `.pcd.bin`         | x y z intensity ring, float32                    | nuScenes: HDL-32E, intensity to 255|
-| `.npy`             | x y z, intensity if there are four, anything     | (P, C) floats                      |
+| `.bin`             | x y z intensity, float32, or those declared      | KITTI, SemanticKITTI               |
+| `.pcd.bin`         | x y z intensity ring, float32, or those declared | nuScenes: HDL-32E, intensity to 255|
+| `.npy`             | (P, C) floats x y z, the fourth is the intensity, anything; or those declared         |
 | `.pcd`, `.ply`     | fields x y z and, by their names, intensity, ring | any; vertices alone                |
 
-Points are x forward, y left, z up in the sensor's frame. Fields of PCD and PLY that hold no finite point, as those of
-beams without a return, are left out. Beside the folder of `velodyne/N.bin` may be labels: `labels/N.label` of
-SemanticKITTI, `label_2/N.txt` of KITTI.
+Points are x forward, y left, z up in the sensor's frame. Beside the folder of `velodyne/N.bin` may be labels:
+`labels/N.label` of SemanticKITTI, `label_2/N.txt` of KITTI.
 """
 
 import io
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.clouds.cloud import EIGHT_BIT, Cloud
+from dsrc.data.clouds.cloud import Cloud
+from dsrc.data.clouds.columns import KITTI, check_values, meaning
+from dsrc.data.clouds.columns import NUSCENES as NUSCENES_COLUMNS
 from dsrc.data.clouds.corrupt import array_of, cloud_of
+from dsrc.data.clouds.intensity import EIGHT_BIT, Intensities, Scale
 from dsrc.data.clouds.ply import decode_ply, encode_ply
 from dsrc.data.formats import kitti_labels
-from dsrc.data.formats.pcd import encode_table, read_table
+from dsrc.data.formats.pcd import NOWHERE, encode_table, padded, read_organised
+from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
+from dsrc.runs.jobs import results_of
 from sensors.corruptions.published.incomplete_echo import SEMANTIC_KITTI
-from sim.errors import DataError, complaint
+from sensors.sweep import Sweep
+from sim.errors import DataError, complaint, notice, option
 from sim.reading import parsing, read_bytes
 
 NUSCENES = ".pcd.bin"
@@ -37,9 +42,13 @@ ENDINGS = (NUSCENES, ".bin", ".npy", ".pcd", ".ply")
 NUSCENES_SENSOR = "hdl-32e"
 """Preset of the LiDAR of nuScenes."""
 
-_INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "scalar_intensity", "i")
-_RING = ("ring", "laser_id", "channel", "scalar_ring")
+_CHUNK = 8
+"""Scans that a worker looks through in one go."""
 _LABEL_BITS = 0xFFFF
+_DECLARE = (
+    f"declare those of other files by {option('columns')} x,y,z,intensity,...; points of 20 bytes, as nuScenes has "
+    f"them, are read from *{NUSCENES}"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,13 +57,21 @@ class Scan:
 
     Attributes:
         cloud: its points.
-        encode: returns the file of a table of the same columns.
+        encode: returns the file of a table of the same columns; told whether its rows are those of the cloud in order.
         sensor: name of the preset that the format implies, None without one.
     """
 
     cloud: Cloud
-    encode: Callable[[NDArray[np.void]], bytes]
+    encode: Callable[[NDArray[np.void], bool], bytes]
     sensor: str | None = None
+
+    def file(self, sweep: Sweep) -> tuple[bytes, NDArray[np.int64]]:
+        """Return the file of a corrupted sweep that `cloud.sweep` has made, and (Q,) the row that each of its rows was.
+
+        Rows of added points are -1; rows without a return are where they were.
+        """
+        table, row = self.cloud.of(sweep), self.cloud.rows(sweep)
+        return self.encode(table, np.array_equal(row, np.arange(len(self.cloud)))), row
 
 
 def ending_of(path: Path) -> str | None:
@@ -76,41 +93,69 @@ def scans_below(folder: Path) -> list[Path]:
     return found
 
 
-def read_scan(path: Path) -> Scan:
+def read_scan(path: Path, columns: Sequence[str] | None = None, scale: Scale | None = None) -> Scan:
     """Read the scan of a file.
 
+    Args:
+        columns: names of the columns of a file without names, see `parse_columns`; None for those of its format.
+        scale: of the intensities; None for that of the format, or the one found in them.
+
     Raises:
-        DataError: the file is missing, damaged or of another kind, or lacks coordinates.
+        DataError: the file is missing, damaged or of another kind, lacks coordinates, or its size or its values do not
+            fit the columns; or columns of a file that names its own.
     """
     ending = ending_of(path)
     if ending is None:
         raise DataError(complaint(path, "scan", f"a file *{', *'.join(ENDINGS)}", path.suffix or "no ending"))
+    if columns is not None and ending in (".pcd", ".ply"):
+        raise DataError(
+            complaint(path, option("columns"), "a file without names of columns", f"*{ending}, which has them")
+        )
     if ending == ".pcd":
-        return _scan_of_fields(path, read_table(path), encode_table)
-    content = read_bytes(path, f"{ending} scan")
-    with parsing(path, f"{ending} scan"):
-        if ending == ".ply":
-            table, header = decode_ply(path, content)
-            return _scan_of_fields(path, table, partial(encode_ply, header=header))
-        if ending == ".npy":
-            rows = np.load(io.BytesIO(content), allow_pickle=False)
-        else:
-            width = 5 if ending == NUSCENES else 4
-            if len(content) % (4 * width):
-                hint = f"; points of 20 bytes, as nuScenes has them, are read from *{NUSCENES}" if width == 4 else ""
-                expected = f"whole points of {4 * width} bytes"
-                raise DataError(complaint(path, "size", expected, f"{len(content)} bytes", hint))
-            rows = np.frombuffer(content, "<f4").reshape(-1, width)
-        try:
-            cloud = cloud_of(rows, 4 if ending == NUSCENES else None)
-        except DataError as error:
-            raise DataError(f"{path}: {error}") from None
-    if ending == ".npy":
-        return Scan(cloud, lambda table: _npy(array_of(table, rows.dtype)))
-    if ending == ".bin":
-        return Scan(cloud, lambda table: table.tobytes())
-    full = Cloud(cloud.table, cloud.axes, cloud.intensity, cloud.ring, EIGHT_BIT)
-    return Scan(full, lambda table: table.tobytes(), NUSCENES_SENSOR)
+        scan = _pcd(path)
+    else:
+        content = read_bytes(path, f"{ending} scan")
+        with parsing(path, f"{ending} scan"):
+            if ending == ".ply":
+                table, header = decode_ply(path, content)
+                scan = Scan(_named(path, table), lambda table, _: encode_ply(table, header))
+            elif ending == ".npy":
+                scan = _npy(path, content, columns)
+            else:
+                scan = _rows(path, content, columns or (NUSCENES_COLUMNS if ending == NUSCENES else KITTI))
+    if ending == NUSCENES and columns is None:
+        scan = Scan(replace(scan.cloud, scale=EIGHT_BIT), scan.encode, NUSCENES_SENSOR)
+    return scan if scale is None else replace(scan, cloud=replace(scan.cloud, scale=scale))
+
+
+def scale_of(
+    paths: Sequence[Path], columns: Sequence[str] | None, where: Path, workers: Pool | Executor = SERIAL
+) -> Scale:
+    """Return the one scale of the intensities of many scans, such as those of a folder `where`, which are all read.
+
+    Raises:
+        DataError: a scan cannot be read, or the scale cannot be found.
+    """
+    chunks = [paths[k : k + _CHUNK] for k in range(0, len(paths), _CHUNK)]
+    seen: list[Intensities] = []
+    for result in results_of(partial(_seen, columns), chunks, workers):
+        if result.error is not None:
+            raise result.error
+        seen += result.value
+    return Intensities.joined(seen).scale(where)
+
+
+def _seen(columns: Sequence[str] | None, paths: Sequence[Path], progress: Progress) -> list[Intensities]:
+    """Return what the intensities of some scans tell of their scale; a task."""
+    return [_intensities_of(path, columns) for path in paths]
+
+
+def _intensities_of(path: Path, columns: Sequence[str] | None) -> Intensities:
+    cloud = read_scan(path, columns).cloud
+    if cloud.intensity is None:
+        return Intensities()
+    found = Intensities.of(cloud.table[cloud.intensity][cloud.returns], path.name)
+    return found if cloud.scale is None else replace(found, bits=True, fractions=None)
 
 
 def labels_of(path: Path) -> Path:
@@ -149,22 +194,47 @@ def kitti_boxes(path: Path) -> NDArray[np.float64] | None:
     return kitti_labels.read_labels(labels, kitti_labels.calibration_of(labels.parent, int(path.stem)))[0].array
 
 
-def _scan_of_fields(path: Path, table: NDArray[np.void], encode: Callable[[NDArray[np.void]], bytes]) -> Scan:
-    """Return the scan of a table by the names of its fields, without points that are not finite."""
-    names = {name.lower(): name for name in table.dtype.names or ()}
-    for axis in "xyz":
-        if axis not in names:
-            raise DataError(complaint(path, "fields", f"a field {axis}", " ".join(names)))
-    wide = [name for name in names.values() if table.dtype[name].shape]
-    if wide:
-        raise DataError(complaint(path, f"COUNT of {wide[0]}", "1", table.dtype[wide[0]].shape[0]))
-    axes = names["x"], names["y"], names["z"]
-    table = table[np.all([np.isfinite(table[name]) for name in axes], axis=0)]
-    intensity, ring = (next((names[n] for n in known if n in names), None) for known in (_INTENSITY, _RING))
-    return Scan(Cloud(table, axes, intensity, ring), encode)
+def _named(path: Path, table: NDArray[np.void]) -> Cloud:
+    """Return the cloud of a table by the names of its fields."""
+    axes, intensity, ring = meaning(path, table.dtype.names or ())
+    for name in (*axes, intensity, ring):
+        if name is not None and table.dtype[name].shape:
+            raise DataError(complaint(path, f"COUNT of {name}", "1", table.dtype[name].shape[0]))
+    return Cloud(table, axes, intensity, ring)
 
 
-def _npy(rows: NDArray[np.generic]) -> bytes:
-    file = io.BytesIO()
-    np.save(file, rows, allow_pickle=False)
-    return file.getvalue()
+def _pcd(path: Path) -> Scan:
+    table, taken = read_organised(path)
+
+    def encode(table: NDArray[np.void], same_rows: bool) -> bytes:
+        if taken.height > 1 and not same_rows:
+            notice("points of organised clouds were lost or added: these are written without their grid, HEIGHT 1")
+        return encode_table(table, taken if same_rows else replace(taken, height=NOWHERE.height))
+
+    return Scan(_named(path, table), encode)
+
+
+def _rows(path: Path, content: bytes, columns: Sequence[str]) -> Scan:
+    """Return the scan of rows of float32."""
+    table = np.dtype([(padded(name, column), "<f4") for column, name in enumerate(columns)])
+    if len(content) % table.itemsize:
+        field, expected = f"size of columns {','.join(columns)}", f"whole points of {table.itemsize} bytes"
+        raise DataError(complaint(path, field, expected, f"{len(content)} bytes", f"; {_DECLARE}"))
+    rows = np.frombuffer(content, table)
+    check_values(path, rows)
+    return Scan(_named(path, rows), lambda table, _: table.tobytes())
+
+
+def _npy(path: Path, content: bytes, columns: Sequence[str] | None) -> Scan:
+    rows = np.load(io.BytesIO(content), allow_pickle=False)
+    try:
+        cloud = cloud_of(rows, columns=columns)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+
+    def encode(table: NDArray[np.void], _: bool) -> bytes:
+        file = io.BytesIO()
+        np.save(file, array_of(table, rows.dtype), allow_pickle=False)
+        return file.getvalue()
+
+    return Scan(cloud, encode)

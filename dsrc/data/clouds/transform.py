@@ -12,8 +12,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.clouds.cloud import rows_of
+from dsrc.data.clouds.columns import parse_columns
 from dsrc.data.clouds.corrupt import array_of, cloud_of, corrupt_sweep
+from dsrc.data.clouds.intensity import Scale, parse_scale
 from sensors.corruptions import CLEAN, SEVERITIES, Condition, Family, require_corruption
 from sensors.presets import get_lidar
 from sim.errors import DataError, SettingsError, complaint
@@ -40,6 +41,9 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
         family: of the settings.
         sensor: name of a LiDAR preset; None if unknown.
         ring: column of the beam index; None where there is none.
+        columns: names of the columns, see `dsrc.corrupt`; None for x y z intensity and anything.
+        intensity_scale: intensity that means 1, or `waymo`; None finds 1 or 255 in each sample, so declare it for
+            others.
 
     Raises:
         SettingsError: an unknown kind, severity, family or sensor, nothing to choose from, or no probability.
@@ -52,6 +56,8 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
     family: Family = "physical"
     sensor: str | None = None
     ring: int | None = None
+    columns: Sequence[str] | None = None
+    intensity_scale: Scale | None = None
 
     def __post_init__(self) -> None:
         if not self.kinds or not self.severities or isinstance(self.kinds, str):
@@ -64,6 +70,8 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
                 require_corruption(kind, severity, self.family)
         if self.sensor is not None:
             get_lidar(self.sensor)
+        parse_columns(self.columns)
+        parse_scale(self.intensity_scale)
 
     def __call__(self, sample: Any, index: int | str | None = None, rng: np.random.Generator | None = None) -> Any:
         """Return the sample with corrupted points; the input is untouched.
@@ -105,11 +113,11 @@ class CorruptTransform(msgspec.Struct, frozen=True, kw_only=True):
         seed = rng.integers(1 << 32)
         if chosen >= self.probability or kind == CLEAN:
             return points, None
-        cloud = cloud_of(rows, self.ring)
+        cloud = cloud_of(rows, self.ring, self.columns, self.intensity_scale)
         spec = None if self.sensor is None else get_lidar(self.sensor)
         condition = Condition(str(kind), int(level), self.family)
         sweep = corrupt_sweep(cloud.sweep(spec), condition, int(seed), boxes=boxes)
-        return _like(points, array_of(cloud.of(sweep), rows.dtype)), rows_of(sweep)
+        return _like(points, array_of(cloud.of(sweep), rows.dtype)), cloud.rows(sweep)
 
 
 def _array(values: object) -> NDArray[Any]:

@@ -6,18 +6,21 @@ and on nothing else: not on other files, not on the number of workers. Labels of
 `labels/` where the new scans are in a folder of the old one's name, else beside them: added points get label 0,
 unlabelled.
 
+Intensities of all scans are of one scale: the one declared, or found over all of them.
+
 `corruption.json` in the new folder holds the settings; a scan that is older than its corrupted one is not made again.
 """
 
 import re
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from dsrc.data.clouds.cloud import rows_of
+from dsrc.data.clouds.columns import parse_columns
 from dsrc.data.clouds.corrupt import INTERVAL_S, corrupt_sweep
 from dsrc.data.clouds.files import (
     ending_of,
@@ -25,13 +28,15 @@ from dsrc.data.clouds.files import (
     labels_of,
     read_labels,
     read_scan,
+    scale_of,
     scans_below,
     vehicles_among,
 )
+from dsrc.data.clouds.intensity import parse_scale
 from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_condition
 from dsrc.data.jsonio import read_json
 from dsrc.options.drives import CorruptOptions
-from dsrc.runs.executors import Pool, Progress
+from dsrc.runs.executors import Executor, Pool, Progress
 from dsrc.runs.series import Series
 from sensors.corruptions import CORRUPTIONS, EVERYONE
 from sensors.presets import get_lidar
@@ -69,14 +74,15 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
 
     Raises:
         SettingsError: the kind needs other agents or objects, or an option is one of drives.
-        DataError: there are no scans, one cannot be read or lacks what the corruption needs, or the folder holds scans
-            of other settings.
+        DataError: there are no scans, one cannot be read or lacks what the corruption needs, the scale of their
+            intensities cannot be found, or the folder holds scans of other settings.
     """
     data, out = Path(options.data), Path(options.out).resolve()
     if options.corrupted_agents != EVERYONE:
         raise SettingsError("corrupt: a scan is of one sensor; leave out --corrupted-agents")
     if options.sensor is not None:
         get_lidar(options.sensor)
+    columns, scale = parse_columns(options.columns), parse_scale(options.intensity_scale)
     if not data.is_dir():
         if ending_of(out) != ending_of(data):
             raise SettingsError(complaint("corrupt", "out", f"a file *{ending_of(data)}, as the scan's", out.name))
@@ -85,8 +91,23 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
         scan = _job(data, out, options)
         _write(scan, _corrupted(scan))
         return [out]
-    jobs = [_job(path, out / path.relative_to(data), options) for path in scans_below(data)]
+    paths = scans_below(data)
+    with pool.open(len(paths)) as executor:
+        if scale is None:
+            scale = scale_of(paths, columns, data, executor)
+        return _corrupt_folder(
+            paths, msgspec.structs.replace(options, columns=columns, intensity_scale=scale), executor, progress
+        )
+
+
+def _corrupt_folder(
+    paths: Sequence[Path], options: CorruptOptions, executor: Executor, progress: Progress | None
+) -> list[Path]:
+    """Write the scans of a folder, all options of them known; see `corrupt_scans`."""
+    data, out = Path(options.data), Path(options.out).resolve()
+    jobs = [_job(path, out / path.relative_to(data), options) for path in paths]
     manifest = {**corruption_entry(options, code_hash(__name__)), "sensor": options.sensor}
+    manifest |= {"columns": options.columns, "intensity_scale": options.intensity_scale}
 
     def note(first: dict[Path, bytes]) -> None:
         write_file(out / MANIFEST, msgspec.json.format(msgspec.json.encode({"corruption": manifest})) + b"\n")
@@ -108,7 +129,7 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
     for given in earlier:
         if _stored(given) is None:
             raise DataError(complaint(given, "reuse", f"a folder of corrupted scans, with {MANIFEST}", "none"))
-    scans.run(jobs, pool, progress, reuse=earlier)
+    scans.run(jobs, executor, progress, reuse=earlier)
     return [job.out for job in jobs]
 
 
@@ -140,7 +161,8 @@ def _write(job: CorruptionJob, files: dict[Path, bytes]) -> None:
 
 def _corrupted(job: CorruptionJob) -> dict[Path, bytes]:
     """Return the `_files` of a corrupted scan."""
-    scan, options, labels = read_scan(job.source), job.options, None
+    options, labels = job.options, None
+    scan = read_scan(job.source, parse_columns(options.columns), parse_scale(options.intensity_scale))
     if labels_of(job.source).is_file():
         labels = read_labels(labels_of(job.source), len(scan.cloud))
     boxes = kitti_boxes(job.source) if labels is None and CORRUPTIONS[options.corruption].of_objects else None
@@ -160,9 +182,9 @@ def _corrupted(job: CorruptionJob) -> dict[Path, bytes]:
         )
     except (DataError, SettingsError) as error:
         raise type(error)(f"{job.source}: {error}") from None
-    contents = [scan.encode(scan.cloud.of(after))]
+    content, row = scan.file(after)
+    contents = [content]
     if labels is not None:
-        row = rows_of(after)
         contents.insert(0, np.where(row < 0, 0, np.append(labels, 0)[row]).astype("<u4").tobytes())
     return dict(zip(_files(job, job.out), contents, strict=True))
 

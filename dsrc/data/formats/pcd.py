@@ -7,6 +7,8 @@ right); in memory, and in the files of real sensors, in ours (y to the left).
 Source: https://pointclouds.org/documentation/tutorials/pcd_file_format.html
 """
 
+import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +19,12 @@ from dsrc.data.formats.lzf import decompress
 from sensors.deskew import deskew
 from sensors.spec import LidarSpec
 from sensors.sweep import Motion, Sweep, make_sweep
-from sim.errors import DataError, complaint
+from sim.errors import DataError, complaint, notice
 from sim.reading import parsing, read_bytes
 
 _HEADER = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_OLD_NAMES = {"COLUMNS": "FIELDS"}
+"""Header entries of versions before 0.7 that PCL takes too."""
 _KINDS = {"F": "f", "U": "u", "I": "i"}
 _SIZES = {"F": (4, 8), "U": (1, 2, 4, 8), "I": (1, 2, 4, 8)}
 
@@ -59,25 +63,53 @@ SENSOR_FULL_SCALE = 256.0
 """Intensity in DAIR-V2X's files that equals 1 of ours; a power of two, so that nothing is rounded."""
 
 
-def encode_table(table: NDArray[np.void]) -> bytes:
-    """Return a binary PCD file of a one-dimensional structured array of scalars."""
-    return b"".join([_header_of(table.dtype, len(table)), np.ascontiguousarray(table).view(np.uint8).data])
+@dataclass(frozen=True, slots=True)
+class Acquisition:
+    """How the points of a PCD file were taken.
+
+    Attributes:
+        height: rows of the grid of an organised cloud, its POINTS in rows of equal width; 1 without a grid.
+        viewpoint: place and quaternion (w x y z) of the sensor, seven numbers as they are written. Points are in the
+            sensor's frame, whatever it says.
+    """
+
+    height: int = 1
+    viewpoint: str = "0 0 0 1 0 0 0"
 
 
-def _header_of(dtype: np.dtype, points: int) -> bytes:
+NOWHERE = Acquisition()
+"""Without a grid, the sensor at the origin."""
+
+
+def padded(name: str, field: int) -> str:
+    """Return the name of a field in a table: several may be PCL's padding `_`, and names of a table differ."""
+    return f"_ {field}" if name == "_" else name
+
+
+def unpadded(name: str) -> str:
+    """Return the name of a field of a table as it stands in a file."""
+    return name.partition(" ")[0]
+
+
+def encode_table(table: NDArray[np.void], taken: Acquisition = NOWHERE) -> bytes:
+    """Return a binary PCD file of a (P,) structured array of scalars and sub-arrays; `taken` has a height that fits."""
+    return b"".join([_header_of(table.dtype, len(table), taken), np.ascontiguousarray(table).view(np.uint8).data])
+
+
+def _header_of(dtype: np.dtype, points: int, taken: Acquisition = NOWHERE) -> bytes:
     names = dtype.names or ()
-    dtypes = [dtype[name] for name in names]
+    dtypes = [dtype[name].base for name in names]
     kinds = {kind: letter for letter, kind in _KINDS.items()}
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",
-        "FIELDS " + " ".join(names),
+        "FIELDS " + " ".join(map(unpadded, names)),
         "SIZE " + " ".join(str(d.itemsize) for d in dtypes),
         "TYPE " + " ".join(kinds[d.kind] for d in dtypes),
-        "COUNT " + " ".join("1" for _ in dtypes),
-        f"WIDTH {points}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
+        "COUNT " + " ".join(str(math.prod(dtype[name].shape)) for name in names),
+        f"WIDTH {points // taken.height}",
+        f"HEIGHT {taken.height}",
+        f"VIEWPOINT {taken.viewpoint}",
         f"POINTS {points}",
         "DATA binary",
     ]
@@ -85,10 +117,19 @@ def _header_of(dtype: np.dtype, points: int) -> bytes:
 
 
 def read_table(path: Path) -> NDArray[np.void]:
-    """Read all fields of a PCD file: `ascii`, `binary` or `binary_compressed`.
+    """Return the table alone of `read_organised`."""
+    return read_organised(path)[0]
+
+
+def read_organised(path: Path) -> tuple[NDArray[np.void], Acquisition]:
+    """Read all fields of a PCD file, `ascii`, `binary` or `binary_compressed`, and how its points were taken.
+
+    Fields of COUNT 0, which Ouster writes, hold nothing and are left out; so are bytes after the last point, with a
+    notice where they are a point or more.
 
     Returns:
-        (P,) structured array, one field per FIELDS entry (of COUNT 1; wider ones are sub-arrays).
+        (P,) structured array, one field per FIELDS entry (of COUNT 1; wider ones are sub-arrays), padding named by
+        `padded`; and what belongs to all points.
 
     Raises:
         DataError: the file is missing, truncated or damaged, or its header contradicts itself.
@@ -97,16 +138,19 @@ def read_table(path: Path) -> NDArray[np.void]:
     with parsing(path, "PCD file"):
         header, body = _split_header(path, content)
         dtype, points = _record_type(path, header), _point_count(path, header)
+        taken = Acquisition(_height(header, points), _viewpoint(header))
         form = header["DATA"][0]
         if form == "binary":
             expected = points * dtype.itemsize
-            if len(body) != expected:
+            if len(body) < expected:
                 raise DataError(complaint(path, "DATA", f"{expected} bytes for {points} points", f"{len(body)} bytes"))
-            return np.frombuffer(body, dtype)
+            if len(body) >= expected + max(dtype.itemsize, 1):
+                notice(f"{path}: {len(body) - expected} bytes after {points} points are left out")
+            return np.frombuffer(body[:expected], dtype), taken
         if form == "ascii":
-            return _ascii_table(path, body, dtype, points)
+            return _ascii_table(path, body, dtype, points), taken
         if form == "binary_compressed":
-            return _compressed_table(path, body, dtype, points)
+            return _compressed_table(path, body, dtype, points), taken
         raise DataError(complaint(path, "DATA", "ascii, binary or binary_compressed", form))
 
 
@@ -232,9 +276,9 @@ def _split_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], mem
         start = end + 1
         if not words or words[0].startswith("#"):
             continue
-        if words[0] not in _HEADER:
+        if words[0] not in _HEADER and words[0] not in _OLD_NAMES:
             raise DataError(complaint(path, "header", f"one of {' '.join(_HEADER)}", words[0]))
-        header[words[0]] = words[1:]
+        header[_OLD_NAMES.get(words[0], words[0])] = words[1:]
     for name in ("FIELDS", "SIZE", "TYPE", "DATA"):
         if not header.get(name):
             raise DataError(complaint(path, "header", f"a line {name}", "none"))
@@ -251,12 +295,11 @@ def _record_type(path: Path, header: dict[str, list[str]]) -> np.dtype:
     for i, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
         if kind not in _KINDS or not size.isdigit() or int(size) not in _SIZES[kind]:
             raise DataError(complaint(path, f"TYPE and SIZE of {name}", "F 4, U 4, I 4 or alike", f"{kind} {size}"))
-        if not count.isdigit() or int(count) < 1:
-            raise DataError(complaint(path, f"COUNT of {name}", "a positive integer", count))
-        # PCL names padding "_", possibly more than once; names of a record must differ.
-        unique = f"_{i}" if name == "_" else name
-        scalar = f"<{_KINDS[kind]}{size}"
-        fields.append((unique, scalar) if count == "1" else (unique, scalar, (int(count),)))
+        if not count.isdigit():
+            raise DataError(complaint(path, f"COUNT of {name}", "a whole number", count))
+        scalar, unique = f"<{_KINDS[kind]}{size}", padded(name, i)
+        if int(count) > 0:
+            fields.append((unique, scalar) if int(count) == 1 else (unique, scalar, (int(count),)))
     try:
         return np.dtype(fields)
     except ValueError as error:
@@ -272,12 +315,29 @@ def _point_count(path: Path, header: dict[str, list[str]]) -> int:
         if len(words) != 1 or not words[0].isdigit():
             raise DataError(complaint(path, name, "a whole number", " ".join(words)))
         numbers[name] = int(words[0])
+    if "POINTS" not in numbers and "WIDTH" in numbers:
+        return numbers["WIDTH"] * numbers.get("HEIGHT", 1)
     if "POINTS" not in numbers:
         raise DataError(complaint(path, "header", "a line POINTS", "none"))
     if "WIDTH" in numbers and numbers["WIDTH"] * numbers.get("HEIGHT", 1) != numbers["POINTS"]:
         area = f"{numbers['WIDTH']} x {numbers.get('HEIGHT', 1)}"
         raise DataError(complaint(path, "POINTS", f"WIDTH x HEIGHT = {area}", numbers["POINTS"]))
     return numbers["POINTS"]
+
+
+def _height(header: dict[str, list[str]], points: int) -> int:
+    """Return the rows of the grid of points whose number is checked, 1 without a grid."""
+    return int(header["HEIGHT"][0]) if points and "WIDTH" in header and "HEIGHT" in header else 1
+
+
+def _viewpoint(header: dict[str, list[str]]) -> str:
+    """Return the seven numbers of VIEWPOINT, those of the origin where it has others."""
+    words = header.get("VIEWPOINT", [])
+    try:
+        known = len(words) == 7 and all(math.isfinite(float(word)) for word in words)
+    except ValueError:
+        known = False
+    return " ".join(words) if known else NOWHERE.viewpoint
 
 
 def _compressed_table(path: Path, body: memoryview, dtype: np.dtype, points: int) -> NDArray[np.void]:

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.corruptions.physics.notice import notice
 from sensors.frame import Frame
 from sensors.sweep import UNKNOWN_MATERIAL, Sweep
 from sim.boxes import CLASSES
+from sim.errors import notice
 
 _MARGIN_M = 0.1
 

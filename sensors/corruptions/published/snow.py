@@ -52,7 +52,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.corruptions.physics.levels import SeveritySettings
-from sensors.corruptions.physics.notice import notice
 from sensors.corruptions.physics.receiver import overlap
 from sensors.corruptions.published.cloud import Cloud, RandomSource, cloud_of, with_cloud
 from sensors.corruptions.published.echo import pulse
@@ -62,7 +61,7 @@ from sensors.corruptions.published.snow_beams import Shares, shares_of
 from sensors.corruptions.published.snow_discs import DISCS, Law, disc_sample
 from sensors.optics.reflectance import LIGHT_SPEED
 from sensors.sweep import ATTENUATED, KEPT, SCATTERED, Sweep
-from sim.errors import DataError, complaint
+from sim.errors import DataError, complaint, notice
 from sim.geometry import Array
 from sim.packed import read_arrays
 from sim.reading import parsing

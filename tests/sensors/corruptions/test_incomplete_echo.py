@@ -9,11 +9,10 @@ import pytest
 from sensors.corruptions import FAMILIES, corrupt_frame
 from sensors.corruptions import corrupt as corrupt_any
 from sensors.corruptions.incomplete_echo import IncompleteEcho, corrupt, in_frame
-from sensors.corruptions.physics.notice import notice
 from sensors.frame import Frame
 from sensors.sweep import STATIC, UNKNOWN_MATERIAL, Sweep
 from sim.boxes import Boxes
-from sim.errors import SettingsError
+from sim.errors import SettingsError, notice
 from tests.sensors.corruptions.drives import MATERIAL, street_drive
 from tests.sensors.corruptions.street import same, spinning, street
 

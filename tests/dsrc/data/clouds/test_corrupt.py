@@ -10,12 +10,11 @@ import dsrc
 from dsrc.data.clouds.cloud import Cloud, beams_of, columns_of, rows_of
 from sensors.corruptions import CORRUPTIONS, PRESETS, corrupt_frame
 from sensors.corruptions.check import example_frame
-from sensors.corruptions.physics.notice import notice
 from sensors.frame import AgentFrame, Frame
 from sensors.presets import get_lidar
 from sensors.sweep import ADDED, make_sweep
 from sim.boxes import Boxes
-from sim.errors import DataError, SettingsError
+from sim.errors import DataError, SettingsError, notice
 
 ALONE = [kind for kind in CORRUPTIONS if not CORRUPTIONS[kind].spares_ego]
 BOXES = np.array([[14.0, 0.0, -1.1, 4.5, 1.8, 1.5, 0.0, 12.0, 0.0], [9.0, 3.5, -1.1, 4.5, 1.8, 1.5, 0.0, 10.0, 0.0]])
@@ -217,7 +216,14 @@ def test_presets_are_published_settings() -> None:
         ({"preset": "robo3d_heavy", "family": "physical"}, "leave out the family"),
         ({"points": street()[:, :2]}, "shape"),
         ({"points": street().astype(int)}, "floats"),
-        ({"points": np.full((5, 4), np.nan)}, "finite"),
+        ({"points": np.column_stack([np.full((5, 3), 1e39), np.zeros(5)])}, "finite"),
+        ({"points": np.column_stack([street()[:5, :3], np.full(5, np.nan)])}, "0 to 1"),
+        ({"columns": ("x", "y", "z")}, "4, as the points have, found 3"),
+        ({"columns": "x,y,intensity,_"}, "names with x, y, z"),
+        ({"columns": "x,y,z,X"}, "each once"),
+        ({"columns": "x,y,z,ring", "ring": 3}, "its name among the columns"),
+        ({"intensity_scale": 0}, "a positive number"),
+        ({"intensity_scale": "nuscenes"}, "65535, or waymo"),
         ({"points": np.full((5, 4), 4000.0)}, "0 to 1"),
     ],
 )

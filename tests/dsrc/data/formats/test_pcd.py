@@ -130,7 +130,8 @@ def test_a_truncated_file_is_named(written: Path, cut: int) -> None:
         ("FIELDS x y z", "FIELDS x y q", "FIELDS: expected a field z"),
         ("FIELDS x y z rgb", "FIELDS x y z label", "FIELDS: expected a field rgb or intensity"),
         ("FIELDS x y z", "FIELDS x y y", "FIELDS: "),
-        ("COUNT 1 1 1 1", "COUNT 1 1 1 0", "COUNT of rgb"),
+        ("COUNT 1 1 1 1", "COUNT 1 1 1 0", "DATA: expected 6 numbers for 2 points, found 8 numbers"),
+        ("COUNT 1 1 1 1", "COUNT 1 1 1 -1", "COUNT of rgb: expected a whole number"),
         (
             "x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1",
             "x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 2 1",

@@ -9,7 +9,6 @@ import pytest
 from msgspec.structs import replace
 
 from sensors.corruptions.physics.levels import DEFAULT_SEVERITY, SEVERITIES
-from sensors.corruptions.physics.notice import notice
 from sensors.corruptions.published.ground import fit_plane, ground_of, noise_floor, noise_line
 from sensors.corruptions.published.rings import elevation_bin
 from sensors.corruptions.published.snow import (
@@ -25,7 +24,7 @@ from sensors.corruptions.published.snow import (
 )
 from sensors.corruptions.published.snow_discs import disc_sample
 from sensors.sweep import ADDED, ATTENUATED, KEPT, POINT_FIELDS, SCATTERED
-from sim.errors import DataError, SettingsError
+from sim.errors import DataError, SettingsError, notice
 from tests.sensors.corruptions.published.goldens import cloud, table
 from tests.sensors.corruptions.street import few_discs, on_a_ray, rows_of, same, shared, spinning, street
 
