@@ -149,7 +149,6 @@ __all__ = [
     "GridSpec",
     "Sample",
     "SampleRequest",
-    "GridSpec",
     "make_sample",
     "Evaluation",
     "evaluate_drives",
