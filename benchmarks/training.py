@@ -42,6 +42,7 @@ from benchmarks.reading import SAMPLES, make_frame
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.detector import Detector
 from dsrc.training.datamodule import Collate
+from dsrc.training.losses import total
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import RECIPES, Recipe, of_method
 
@@ -119,10 +120,10 @@ class Step:
         times = [time.perf_counter()]
         batch = self.collate(self.samples).to(self.device, non_blocking=True)
         times.append(time.perf_counter())
-        loss = torch.stack(list(self.module.losses(batch).values())).sum()
+        loss = total(self.module.losses(batch).values())
         times.append(time.perf_counter())
         self.optimizer.zero_grad()
-        loss.backward()
+        self.module.backward(loss)
         times.append(time.perf_counter())
         nn.utils.clip_grad_norm_(self.module.parameters(), self.recipe.clip)
         self.optimizer.step()
@@ -137,7 +138,7 @@ class Step:
         """Return the operations that the forward passes, the losses and the backward pass dispatch."""
         batch, clock = self.collate(self.samples).to(self.device), dict(self.clock.seconds)
         with Operations() as operations:
-            torch.stack(list(self.module.losses(batch).values())).sum().backward()
+            self.module.backward(total(self.module.losses(batch).values()))
         self.clock.seconds.update(clock)
         return operations.count
 
@@ -146,7 +147,7 @@ class Step:
         batch = self.collate(self.samples).to(self.device)
         with profile(activities=[ProfilerActivity.CPU, ProfilerActivity.CUDA]) as profiler:
             start = time.perf_counter()
-            torch.stack(list(self.module.losses(batch).values())).sum().backward()
+            self.module.backward(total(self.module.losses(batch).values()))
             torch.cuda.synchronize()
             whole = time.perf_counter() - start
         if trace is not None:

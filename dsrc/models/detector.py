@@ -53,10 +53,9 @@ class NetworkOutput:
     direction: Tensor | None = None
 
     def float(self) -> "NetworkOutput":
-        """Convert to single precision."""
-        stages = self.stages[0].float(), self.stages[1].float(), self.stages[2].float()
+        """Convert what the heads say to single precision; the features are converted where they are compared."""
         direction = None if self.direction is None else self.direction.float()
-        return NetworkOutput(stages, self.fused.float(), self.cls.float(), self.reg.float(), direction)
+        return NetworkOutput(self.stages, self.fused, self.cls.float(), self.reg.float(), direction)
 
 
 class Detector(nn.Module):

@@ -28,6 +28,11 @@ class Movable:
         return replace(self, **changed)  # type: ignore[type-var]
 
 
+def on_device(tensor: Tensor, device: torch.device) -> Tensor:
+    """Move a tensor; to a GPU from pinned memory, or the host would wait for it."""
+    return (tensor.pin_memory() if device.type == "cuda" else tensor).to(device, non_blocking=True)
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Run torch on one thread: the number of threads changes the last digits of a network's numbers."""

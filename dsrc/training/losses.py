@@ -4,6 +4,7 @@ Where the paper and its released code differ, `DistillSettings` has both: its de
 is the code. The reconstruction losses stand beside their head, in `dsrc.models.layers.reconstruction`.
 """
 
+from collections.abc import Iterable
 from functools import cache
 from typing import Annotated, Any, Literal
 
@@ -72,7 +73,7 @@ def detection_loss(cls: Tensor, reg: Tensor, positive: Tensor, regression: Tenso
         regression: (B, h, w, 14) residuals of the assigned boxes.
     """
     target = positive.permute(0, 3, 1, 2).to(cls.dtype)
-    count = target.flatten(1).sum(1).clamp_(min=1)[:, None, None, None]
+    count = target.sum((1, 2, 3), keepdim=True).clamp_(min=1)
     return _FocalLoss.apply(cls, target, count), _BoxLoss.apply(reg, positive, regression, count)
 
 
@@ -107,15 +108,15 @@ class _BoxLoss(torch.autograd.Function):
         turn = reg.permute(0, 2, 3, 1) - regression
         error = torch.where(_angles(reg.device), turn.sin(), turn)
         smooth = functional.huber_loss(error, torch.zeros_like(error), reduction="none", delta=_BETA)
-        weight = positive * (2 / _BETA / len(reg) / count)
+        weight = (positive / count)[..., None]
         ctx.save_for_backward(turn, error, weight)
-        return (smooth.unflatten(-1, (2, 7)) * weight[..., None]).sum()
+        return smooth.unflatten(-1, (2, 7)).mul_(weight).sum().mul_(2 / _BETA / len(reg))
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, None]:
         turn, error, weight = ctx.saved_tensors
         slope = torch.where(_angles(turn.device), turn.cos(), 1.0).mul_(error.clamp(-_BETA, _BETA))
-        slope = slope.unflatten(-1, (2, 7)).mul_((weight * gradients[0])[..., None]).flatten(-2)
+        slope = slope.unflatten(-1, (2, 7)).mul_(weight * (gradients[0] * (2 / _BETA / len(turn)))).flatten(-2)
         return slope.permute(0, 3, 1, 2), None, None, None
 
 
@@ -159,11 +160,35 @@ def _prediction_error(student: NetworkOutput, teacher: NetworkOutput, positive: 
         positive: (B, h, w, 2) bool anchors whose residuals are compared.
         where: (B, 1, h, w) mask of the cells whose probabilities are compared.
     """
-    count = positive.flatten(1).sum(1).clamp_(min=1)
-    divergence = (_bernoulli_kl(teacher.cls.detach(), student.cls) * where).flatten(1).sum(1)
-    error = (student.reg - teacher.reg.detach()).permute(0, 2, 3, 1).unflatten(-1, (2, 7))
-    residuals = 0.5 * (error.square().mean(-1) * positive).flatten(1).sum(1)
-    return ((divergence + residuals) / count).mean()
+    return _PredictionError.apply(student.cls, student.reg, teacher.cls, teacher.reg, positive, where)
+
+
+class _PredictionError(torch.autograd.Function):
+    """`_prediction_error` with its gradient."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, cls: Tensor, reg: Tensor, taught_cls: Tensor, taught_reg: Tensor, positive: Tensor, where: Tensor
+    ) -> Tensor:
+        count = positive.sum((1, 2, 3), keepdim=True).clamp_(min=1)
+        cells = where / count
+        # Kullback-Leibler divergence of the student's from the teacher's logits: the cross entropy less the teacher's.
+        probability = torch.sigmoid(taught_cls)
+        divergence = functional.binary_cross_entropy_with_logits(cls, probability, reduction="none")
+        divergence -= functional.binary_cross_entropy_with_logits(taught_cls, probability, reduction="none")
+        error = (reg - taught_reg).unflatten(1, (2, 7))
+        anchors = (positive / count).permute(0, 3, 1, 2).unsqueeze(2)
+        residuals = error.square().mul_(anchors).sum()
+        ctx.save_for_backward(cls, probability, cells, error, anchors)
+        return divergence.mul_(cells).sum().add_(residuals, alpha=0.5 / 7).div_(len(cls))
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        cls, probability, cells, error, anchors = ctx.saved_tensors
+        share = gradients[0] / len(cls)
+        of_cls = torch.sigmoid(cls).sub_(probability).mul_(cells).mul_(share)
+        of_reg = (error * anchors).mul_(share / 7).flatten(1, 2)
+        return of_cls, of_reg, None, None, None, None
 
 
 def distillation_losses(
@@ -187,45 +212,72 @@ def distillation_losses(
         return _released_losses(student, teacher, foreground, agents, settings)
     masks = [functional.max_pool2d(foreground[:, None].float(), 2)]
     masks += [functional.max_pool2d(masks[0], 2), functional.max_pool2d(masks[0], 4)]
-    pairs = zip(student.stages, teacher.stages, masks, strict=True)
-    dae = torch.stack([_relative_error(s, t, mask) for s, t, mask in pairs]).mean()
     union = torch.stack([group.amax(0) for group in masks[0].split(list(agents))])
-    daf = _relative_error(student.fused, teacher.fused, union if settings.daf_mask else torch.ones_like(union))
+    masks.append(union if settings.daf_mask else torch.ones_like(union))
+    maps = (*student.stages, student.fused), (*teacher.stages, teacher.fused)
+    first, second, third, daf = _relative_errors(*maps, masks)
+    dae = (first + second + third) / 3
     dap = _prediction_error(student, teacher, positive, union)
-    return {"dae": settings.dae * dae, "daf": settings.daf * daf, "dap": settings.dap * dap}
+    return {"dae": weighted(dae, settings.dae), "daf": weighted(daf, settings.daf), "dap": weighted(dap, settings.dap)}
 
 
-def _relative_error(student: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
-    """Return the squared difference of (N, C, h, w) maps in a (N, 1, h, w) mask, relative to the teacher's square.
+def total(losses: Iterable[Tensor]) -> Tensor:
+    """Return the sum of losses."""
+    return _Total.apply(*losses)
+
+
+class _Total(torch.autograd.Function):
+    """`total` with its gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, *losses: Tensor) -> Tensor:
+        return torch.stack(losses).sum()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:
+        return gradients * len(ctx.needs_input_grad)
+
+
+def weighted(loss: Tensor, weight: float) -> Tensor:
+    """Return a loss times its weight; of a weight of 1 itself."""
+    return loss if weight == 1.0 else weight * loss
+
+
+def _relative_errors(
+    students: tuple[Tensor, ...], teachers: tuple[Tensor, ...], masks: list[Tensor]
+) -> tuple[Tensor, ...]:
+    """Return the squared differences of (N, C, h, w) maps in (N, 1, h, w) masks, relative to the teachers' squares.
 
     Both are means over the mask, or 0 of an empty one.
     """
-    return _RelativeError.apply(student, teacher, mask)
+    return _RelativeErrors.apply(teachers, masks, *students)
 
 
-class _RelativeError(torch.autograd.Function):
-    """`_relative_error` with its gradient, one map that both passes share."""
+class _RelativeErrors(torch.autograd.Function):
+    """`_relative_errors` with their gradients, one map each that both passes share."""
 
     @staticmethod
-    def forward(ctx: Any, student: Tensor, teacher: Tensor, mask: Tensor) -> Tensor:
-        error = (student - teacher).mul_(mask)
-        square = (teacher * mask).square_().sum()
+    def forward(ctx: Any, teachers: tuple[Tensor, ...], masks: list[Tensor], *students: Tensor) -> tuple[Tensor, ...]:
+        # The masks' type is the larger one: differences of maps in half precision are not.
+        errors, seen = torch._foreach_mul(students, masks), torch._foreach_mul(teachers, masks)
+        torch._foreach_sub_(errors, seen)
+        found = [square.sum() for square in torch._foreach_mul(errors, errors)]
+        torch._foreach_mul_(seen, seen)
         # A millionth is added to the teacher's mean square; the clamp is of an empty mask.
-        whole = square.add_(mask.sum(), alpha=1e-6 * student.shape[1]).clamp_(min=1e-6)
-        ctx.save_for_backward(error, whole)
-        return error.square().sum().div_(whole)
+        wholes, counts = [square.sum() for square in seen], [mask.sum() for mask in masks]
+        torch._foreach_mul_(counts, [1e-6 * student.shape[1] for student in students])
+        torch._foreach_add_(wholes, counts)
+        torch._foreach_clamp_min_(wholes, 1e-6)
+        torch._foreach_div_(found, wholes)
+        ctx.save_for_backward(*errors, *wholes)
+        return tuple(found)
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
-        error, whole = ctx.saved_tensors
-        return error * (2 * gradients[0] / whole), None, None
-
-
-def _bernoulli_kl(teacher: Tensor, student: Tensor) -> Tensor:
-    """Return the elementwise Kullback-Leibler divergence of the student's from the teacher's logits."""
-    p = torch.sigmoid(teacher)
-    cross = functional.binary_cross_entropy_with_logits(student, p, reduction="none")
-    return cross - functional.binary_cross_entropy_with_logits(teacher, p, reduction="none")
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        errors, wholes = ctx.saved_tensors[: len(gradients)], ctx.saved_tensors[len(gradients) :]
+        slopes = torch._foreach_div(gradients, wholes)
+        torch._foreach_mul_(slopes, 2)
+        return None, None, *torch._foreach_mul(errors, slopes)
 
 
 def _released_losses(
@@ -242,7 +294,7 @@ def _released_losses(
     size = student.fused.shape[-2:]
     soft = functional.interpolate(foreground[:, None].float(), size, mode="bilinear", align_corners=False)
     union = torch.stack([group.sum(0) for group in soft.split(list(agents))]) != 0
-    daf = functional.mse_loss(union * student.fused, union * teacher.fused)
+    daf = functional.mse_loss(union * student.fused.float(), union * teacher.fused.float())
     dap = student.cls.new_zeros(())
     for s, t in ((student.cls, teacher.cls), (student.reg, teacher.reg)):
         log_s, log_t = torch.log_softmax(s, dim=1), torch.log_softmax(t, dim=1)

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import lightning.pytorch as pl
 import torch
-from torch import Tensor, distributed
+from torch import Tensor, distributed, nn
 from torch.optim.lr_scheduler import LambdaLR
 
 from dsrc.evaluation.metrics.ap import FrameResult
@@ -18,7 +18,7 @@ from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.half_weights import HalfWeights
 from dsrc.models.layers.reconstruction import Reconstruction, reconstruction_losses
 from dsrc.models.storage.deploy import deployed
-from dsrc.training.losses import consistency_loss, detection_loss, direction_loss, distillation_losses
+from dsrc.training.losses import consistency_loss, detection_loss, direction_loss, distillation_losses, total, weighted
 from dsrc.training.recipes import Recipe
 from dsrc.training.validation import detections_of, frames_named, metrics_of, prefixed
 from sim.errors import UserError
@@ -60,7 +60,7 @@ class DetectionModule(pl.LightningModule):
         if teacher is not None and recipe.distill.teacher_norms == "moving":
             teacher.train()
         self._deployed: tuple[Detector, ...] = ()
-        self._half: tuple[HalfWeights, ...] = ()
+        self._half: dict[nn.Module, HalfWeights] = {}
         self._unchecked: list[tuple[tuple[str, ...], Tensor, str]] = []
         self._results: list[list[FrameResult]] = []
         self._zeros_in_a_row = 0
@@ -71,7 +71,7 @@ class DetectionModule(pl.LightningModule):
             teacher._apply(fn, recurse)
         super()._apply(fn, recurse)
         self._deployed = ()
-        self._half = ()
+        self._half = {}
         return self
 
     def _taught(self, batch: Batch) -> NetworkOutput:
@@ -96,12 +96,16 @@ class DetectionModule(pl.LightningModule):
             return self._student(batch.student, batch.layout)
 
     def _student(self, pillars: Pillars, layout: AgentLayout) -> NetworkOutput:
-        """Run the detector on its clouds, in training with the weights of its convolutions in the recipe's type."""
-        if not (self.recipe.bfloat16 and self.detector.training):
-            return self.detector(pillars, layout).float()
-        if not self._half:
-            self._half = (HalfWeights(self.detector),)
-        return self._half[0](pillars, layout).float()
+        """Run the detector on its clouds."""
+        return self._in_type(self.detector)(pillars, layout).float()
+
+    def _in_type(self, network: nn.Module) -> Callable[..., Any]:
+        """Return a network, in training with the weights of its convolutions in the recipe's type."""
+        if not (self.recipe.bfloat16 and network.training):
+            return network
+        if network not in self._half:
+            self._half[network] = HalfWeights(network)
+        return self._half[network]
 
     def _autocast(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.bfloat16)
@@ -122,14 +126,15 @@ class DetectionModule(pl.LightningModule):
         if self._teacher and batch.teacher is not None and batch.foreground is not None:
             parts = output, self._taught(batch), batch.foreground, positive, batch.agents
             distilled = distillation_losses(*parts, self.recipe.distill)
-            losses |= {name: self._distillation_factor() * value for name, value in distilled.items()}
+            factor = self._distillation_factor()
+            losses |= {name: weighted(value, factor) for name, value in distilled.items()}
         if self.reconstruction is not None and batch.scene is not None:
             with self._autocast():
                 mask, offset = reconstruction_losses(
-                    self.reconstruction, output.fused, batch.scene, self.recipe.reconstruction_window
+                    self._in_type(self.reconstruction), output.fused, batch.scene, self.recipe.reconstruction_window
                 )
             weight = self.recipe.reconstruction
-            losses |= {"rec_mask": weight * mask, "rec_offset": weight * offset}
+            losses |= {"rec_mask": weighted(mask, weight), "rec_offset": weighted(offset, weight)}
         return losses
 
     def _distillation_factor(self) -> float:
@@ -158,15 +163,27 @@ class DetectionModule(pl.LightningModule):
             # Seeded by the step: a resumed run draws the same, and each device its own.
             torch.manual_seed((self.seed << 32) + (self.global_rank << 28) + self.global_step)
             losses = self.losses(batch)
-        values = torch.stack(list(losses.values()))
-        total = values.sum()
+        loss, values = total(losses.values()), torch.stack([value.detach() for value in losses.values()])
         where = f"epoch {self.current_epoch}, step {self.global_step}, samples {', '.join(batch.keys)}"
-        self._unchecked.append((tuple(losses), values.detach(), where))
+        self._unchecked.append((tuple(losses), values, where))
         if len(self._unchecked) == _CHECKED_STEPS or self.trainer.is_last_batch:
             self._check_losses()
-        logged = {f"train/{name}": value.detach() for name, value in losses.items()} | {"train/loss": total.detach()}
+        logged = {f"train/{name}": value for name, value in zip(losses, values, strict=True)}
+        logged["train/loss"] = loss.detach()
         self.log_dict(logged, on_step=True, on_epoch=True, batch_size=len(batch.keys), sync_dist=True)
-        return total
+        return loss
+
+    def backward(self, loss: Tensor, *args: Any, **kwargs: Any) -> None:
+        """Set the gradients of all weights; other than by `loss.backward` nothing is dispatched for each of them.
+
+        Processes that share a training average their gradients while they accumulate.
+        """
+        if self._trainer is not None and self._trainer.world_size > 1:
+            super().backward(loss, *args, **kwargs)
+            return
+        weights = [weight for weight in self.parameters() if weight.requires_grad]
+        for weight, gradient in zip(weights, torch.autograd.grad(loss, weights, allow_unused=True), strict=True):
+            weight.grad = None if gradient is None else as_laid_out(gradient, weight)
 
     def _check_losses(self) -> None:
         """Look at the losses since the last look: at each step, the host would wait for the device."""
@@ -232,6 +249,14 @@ class DetectionModule(pl.LightningModule):
         steps = max(int(self.trainer.estimated_stepping_batches), 1)
         schedule = LambdaLR(optimizer, RateCurve(self.recipe, steps))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+def as_laid_out(gradient: Tensor, weight: Tensor) -> Tensor:
+    """Return a gradient in its weight's order in memory, which a fused optimizer needs."""
+    sides = zip(weight.shape, weight.stride(), gradient.stride(), strict=True)
+    if all(size == 1 or own == other for size, own, other in sides):
+        return gradient
+    return torch.empty_like(weight).copy_(gradient)
 
 
 def as_teacher(teacher: Detector, batch: Batch) -> NetworkOutput:

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dsrc.models.device import on_device
 from dsrc.models.fusion.base import AgentLayout, Fusion
 from dsrc.models.fusion.warp import into_ego
 
@@ -63,12 +64,7 @@ def _places(agents: tuple[int, ...], device: torch.device) -> tuple[Tensor | Non
         rows += [start + agent if agent < count else start for agent in range(most)]
         start += count
     absent = torch.arange(most) >= torch.tensor(agents)[:, None]
-    return _moved(torch.tensor(rows), device), _moved(absent[:, :, None, None, None], device)
-
-
-def _moved(tensor: Tensor, device: torch.device) -> Tensor:
-    """Move a tensor; to a GPU from pinned memory, or the host would wait for it."""
-    return (tensor.pin_memory() if device.type == "cuda" else tensor).to(device, non_blocking=True)
+    return on_device(torch.tensor(rows), device), on_device(absent[:, :, None, None, None], device)
 
 
 class _Attended(torch.autograd.Function):
@@ -87,8 +83,8 @@ class _Attended(torch.autograd.Function):
         out = gradients[0].permute(0, 2, 3, 1)[:, None]
         by_weight = (x * out).sum(4, keepdim=True).to(weights.dtype)
         by_score = torch.ops.aten._softmax_backward_data(by_weight, weights, 1, weights.dtype) / x.shape[4] ** 0.5
-        gradient = weights * out + by_score * x[:, :1]
-        gradient[:, 0] += (by_score * x).sum(1)
+        gradient = torch.addcmul(weights * out, by_score, x[:, :1])
+        gradient.select(1, 0).add_((by_score * x).sum(1))
         gradient = gradient.flatten(0, 1).to(x.dtype)
         rows, _ = _places(ctx.agents, x.device)
         if rows is not None:

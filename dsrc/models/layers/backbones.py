@@ -1,12 +1,13 @@
 """Backbones: three stages, each at half the resolution of the one before; DSRC's is `res2net`."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dsrc.models.layers.conv_norm import ConvSequence, conv_norm
+from dsrc.models.layers.conv_norm import ConvSequence, ahead, back, conv_norm, grouped, joinable, weights
 from dsrc.models.settings import ModelSettings
 
 _SPLITS = 4
@@ -54,16 +55,98 @@ class Res2Block(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (N, inputs, H, W) to (N, outputs, H', W')."""
-        splits = conv_norm(x, self.conv1, self.bn1).chunk(_SPLITS, dim=1)
-        results: list[Tensor] = []
-        for conv, norm, split in zip(self.convs, self.bns, splits[:-1], strict=True):
-            entry = split if self.first or not results else results[-1] + split
-            results.append(conv_norm(entry, conv, norm))  # type: ignore[arg-type]
-        results.append(functional.avg_pool2d(splits[-1], 3, 2, 1) if self.first else splits[-1])
-        # Every second pixel first, then the convolution: with a stride of its own, the weight gradient of a 1 x 1
-        # convolution with few channels in channels-last order writes beyond its buffer (oneDNN 3.12, AVX-512).
-        residual = x if self.downsample is None else self.downsample(x[:, :, ::2, ::2])
-        return conv_norm(torch.cat(results, dim=1), self.conv3, self.bn3, residual=residual)
+        return _res2(self, x, lambda *parts: (conv_norm(*parts), ()))[0]
+
+    def pairs(self) -> list[Any]:
+        """Return the convolutions with their norms: of the splits, of the entry, of the end, of the shortcut."""
+        ends = [(self.conv1, self.bn1), (self.conv3, self.bn3)]
+        shortcut = [] if self.downsample is None else [tuple(self.downsample)]
+        return [*zip(self.convs, self.bns, strict=True), *ends, *shortcut]
+
+
+def _res2(block: Res2Block, x: Tensor, layer: Callable[..., tuple[Tensor, Any]]) -> tuple[Tensor, list[Any]]:
+    """Return a block's output, and what its layers save, in the order of its pairs."""
+    *inner, enter, leave = block.pairs()[: _SPLITS + 1]
+    wide, entered = layer(x, *enter)
+    splits = wide.chunk(_SPLITS, dim=1)
+    results: list[Tensor] = []
+    saved: list[Any] = []
+    for pair, split in zip(inner, splits[:-1], strict=True):
+        result, parts = layer(split if block.first or not results else results[-1] + split, *pair)
+        results.append(result)
+        saved.append(parts)
+    results.append(functional.avg_pool2d(splits[-1], 3, 2, 1) if block.first else splits[-1])
+    # Every second pixel first, then the convolution: with a stride of its own, the weight gradient of a 1 x 1
+    # convolution with few channels in channels-last order writes beyond its buffer (oneDNN 3.12, AVX-512).
+    shortcut = (x, None) if block.downsample is None else layer(x[:, :, ::2, ::2], *block.downsample, False)
+    out, left = layer(torch.cat(results, dim=1), *leave, True, shortcut[0])
+    return out, [*saved, entered, left, *([] if block.downsample is None else shortcut[1:])]
+
+
+def _res2_back(
+    block: Res2Block, gradient: Tensor, saved: Sequence[Any], wanted: bool
+) -> tuple[Tensor, list[tuple[Tensor | None, ...]]]:
+    """Return the gradients of a block's input, if wanted, and of the weights of its pairs."""
+    pairs = block.pairs()
+    of_weights: list[Any] = [None] * len(pairs)
+
+    def through(gradient: Tensor, place: int, wants_input: bool = True) -> tuple[Tensor, Tensor]:
+        conv, norm = pairs[place]
+        after, of_input, of_weights[place] = back(gradient, saved[place], conv, norm, wants_input)
+        return after, of_input
+
+    entry, end, shortcut = _SPLITS - 1, _SPLITS, _SPLITS + 1
+    after, joined = through(gradient, end)
+    parts = list(joined.chunk(_SPLITS, dim=1))
+    for split in reversed(range(_SPLITS - 1)):
+        _, parts[split] = through(parts[split], split)
+        if split and not block.first:
+            parts[split - 1] = parts[split - 1] + parts[split]
+    if block.first:
+        pooled = saved[entry][-1].chunk(_SPLITS, dim=1)[-1]
+        parts[-1] = torch.ops.aten.avg_pool2d_backward(parts[-1], pooled, [3], [2], [1], False, True, None)
+    _, of_x = through(torch.cat(parts, dim=1), entry, wanted)
+    beside = after if block.downsample is None else through(after, shortcut, wanted)[1]
+    if wanted:
+        (of_x if block.downsample is None else of_x[:, :, ::2, ::2]).add_(beside)
+    return of_x, of_weights
+
+
+class _Res2(torch.autograd.Function):
+    """Res2 blocks in training with their gradients: slices and sums of splits need no records of their own."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, blocks: Sequence[Res2Block], *weights: Tensor) -> Tensor:
+        saved: list[Any] = []
+        for block in blocks:
+            x, parts = _res2(block, x, ahead)
+            saved += parts
+        ctx.save_for_backward(*(part for parts in saved for part in parts))
+        ctx.blocks = blocks
+        return x
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        gradient, saved = gradients[0], grouped(ctx.saved_tensors)
+        of_weights: list[tuple[Tensor | None, ...]] = []
+        for number, block in reversed(list(enumerate(ctx.blocks))):
+            count = len(block.pairs())
+            own, saved = saved[-count:], saved[:-count]
+            gradient, of_block = _res2_back(block, gradient, own, number > 0 or ctx.needs_input_grad[0])
+            of_weights = [*of_block, *of_weights]
+        return gradient, None, *(part for parts in of_weights for part in parts)
+
+
+class Res2Stage(nn.Sequential):
+    """Res2 blocks of one resolution, in training as one layer."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (N, inputs, H, W) to (N, outputs, H / 2, W / 2)."""
+        blocks: list[Any] = list(self)
+        pairs = [pair for block in blocks for pair in block.pairs()]
+        if joinable(*(norm for _, norm in pairs)):
+            return _Res2.apply(x, blocks, *(weight for pair in pairs for weight in weights(*pair)))
+        return super().forward(x)
 
 
 class Res2Net(StagedBackbone):
@@ -79,7 +162,7 @@ class Res2Net(StagedBackbone):
         widths = (inputs, *channels)
         super().__init__(
             [
-                nn.Sequential(
+                Res2Stage(
                     *(
                         Res2Block(widths[k] if block == 0 else channels[k], channels[k], base_width, block == 0)
                         for block in range(blocks[k])

@@ -88,39 +88,51 @@ class SlotNorm(nn.BatchNorm1d):
     the layer's weight. Rows of zeros that stand for padded slots enter as a count.
     """
 
-    def scale_shift(self, x: Tensor, weight: Tensor, zeros: int = 0) -> tuple[Tensor, Tensor]:
-        """Return the (C,) scale and shift that normalise `x @ weight.T`; in training, update the statistics.
-
-        Args:
-            x: (P, D) rows, without gradient.
-            weight: (C, D) of the linear layer.
-            zeros: further rows of zeros to count.
-        """
-        mean, variance = self.running_mean, self.running_var
-        if mean is None or variance is None:
-            raise ValueError("SlotNorm needs running statistics")
-        if self.training:
-            n = len(x) + zeros
-            centre, spread = _moments(x, zeros)
-            mean = weight @ centre
-            variance = ((weight @ spread) * weight).sum(1)
-            self._update(mean.detach(), variance.detach(), n)
+    def scale_shift(self) -> tuple[Tensor, Tensor]:
+        """Return the (C,) scale and shift that normalise a layer's output by the running statistics."""
+        mean, variance = self._running()
         scale = self.weight * torch.rsqrt(variance + self.eps)
         return scale, self.bias - mean * scale
 
-    def _update(self, mean: Tensor, variance: Tensor, n: int) -> None:
+    def statistics(self, x: Tensor, weight: Tensor, zeros: int) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
+        """Return the (C,) mean and variance of `x @ weight.T`: in training of these rows, else the running ones.
+
+        Args:
+            x: (P, D) rows.
+            weight: (C, D) of the linear layer.
+            zeros: further rows of zeros to count.
+
+        Returns:
+            Mean, variance, and in training half of their slopes by the weight: (D,) and (C, D).
+        """
+        running_mean, running_variance = self._running()
+        if not self.training:
+            return running_mean, running_variance, None, None
+        n = len(x) + zeros
+        centre, spread = _moments(x, zeros)
+        mean, slope = weight @ centre, weight @ spread
+        variance = (slope * weight).sum(1)
         momentum = float(self.momentum or 0.0)
-        self.running_mean.lerp_(mean, momentum)  # type: ignore[union-attr]
-        self.running_var.lerp_(variance * (n / max(n - 1, 1)), momentum)  # type: ignore[union-attr]
+        running_mean.lerp_(mean, momentum)
+        running_variance.lerp_(variance * (n / max(n - 1, 1)), momentum)
+        return mean, variance, centre, slope
+
+    def _running(self) -> tuple[Tensor, Tensor]:
+        if self.running_mean is None or self.running_var is None:
+            raise ValueError("SlotNorm needs running statistics")
+        return self.running_mean, self.running_var
 
 
 def _moments(x: Tensor, zeros: int) -> tuple[Tensor, Tensor]:
     """Return the (D,) mean and (D, D) covariance of rows and zero rows; centred first, so that float32 suffices."""
     n = len(x) + zeros
     mean = x.sum(0, dtype=torch.float64) / n
-    centred = x - mean.to(x.dtype)
-    spread = (centred.T @ centred).double() + zeros * torch.outer(mean, mean)
-    return mean.to(x.dtype), (spread / n).to(x.dtype)
+    centre = mean.to(x.dtype)
+    centred = x - centre
+    spread = (centred.T @ centred).double()
+    if zeros:
+        spread += zeros * torch.outer(mean, mean)
+    return centre, (spread / n).to(x.dtype)
 
 
 def _linear_max(x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> tuple[Tensor, Tensor]:
@@ -130,25 +142,60 @@ def _linear_max(x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> tu
     return values, start.scatter_reduce(0, pillar[:, None].expand_as(values), values, "amax", include_self=False)
 
 
-class _LinearMax(torch.autograd.Function):
-    """Linear layer with the maximum per pillar: its backward pass needs no (P, C) index arithmetic.
+def _normed_max(
+    x: Tensor, weight: Tensor, norm: SlotNorm, pillar: Tensor, n_pillars: int, zeros: int, padded: Tensor | None
+) -> tuple[Tensor, tuple[Tensor | None, ...]]:
+    """Return the (V, C) maxima of `relu(norm(x @ weight.T))` per pillar, and what their gradient needs.
+
+    Args:
+        padded: (V, 1) bool pillars with a row of zeros; None for none.
+    """
+    mean, variance, centre, slope = norm.statistics(x, weight, zeros)
+    root = torch.rsqrt(variance + norm.eps)
+    scale = norm.weight * root
+    shift = norm.bias - mean * scale
+    # The norm is monotonic per channel: take the extreme first and normalise V rows instead of P.
+    sign = torch.copysign(torch.ones_like(scale), scale)
+    values, best = _linear_max(x, weight * sign[:, None], pillar, n_pillars)
+    extreme = best * sign
+    out, hidden = torch.addcmul(shift, extreme, scale), None
+    if padded is not None:
+        # A zero row that pads the pillar enters the maximum with the norm of zero, which is the shift.
+        hidden = padded & (out < shift)
+        out = torch.where(hidden, shift, out)
+    out.relu_()
+    return out, (x, pillar, values, best, extreme, out, hidden, mean, root, scale, norm.weight, centre, slope)
+
+
+class _NormedMax(torch.autograd.Function):
+    """`_normed_max` with its gradient, which needs no (P, C) index arithmetic.
 
     Points of a pillar that share a maximum all get its gradient.
     """
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> Tensor:
-        values, best = _linear_max(x, weight, pillar, n_pillars)
-        ctx.save_for_backward(x, values, best, pillar)
-        return best
+    def forward(ctx: Any, x: Tensor, weight: Tensor, gamma: Tensor, beta: Tensor, *parts: Any) -> Tensor:
+        out, saved = _normed_max(x, weight, *parts)
+        ctx.save_for_backward(*saved)
+        return out
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None, None]:
-        x, values, best, pillar = ctx.saved_tensors
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
+        x, pillar, values, best, extreme, out, hidden, mean, root, scale, gamma, centre, slope = ctx.saved_tensors
+        gradient = torch.ops.aten.threshold_backward(gradients[0], out, 0)
+        of_shift = gradient.sum(0)
+        if hidden is not None:
+            gradient = gradient.masked_fill_(hidden, 0.0)
+        of_scale = torch.addcmul((gradient * extreme).sum(0), mean, of_shift, value=-1)
         passed_over = values != best.index_select(0, pillar)
-        gradient = gradients[0].index_select(0, pillar).masked_fill_(passed_over, 0.0)
+        of_values = (gradient * scale).index_select(0, pillar).masked_fill_(passed_over, 0.0)
         # Ten times faster on CPUs than its transpose.
-        return None, (x.T @ gradient).T, None, None
+        of_weight = (x.T @ of_values).T
+        if centre is not None:
+            of_variance = of_scale * gamma * root.pow(3)  # minus two of them
+            of_weight = torch.addr(of_weight, of_shift * scale, centre, alpha=-1)
+            of_weight.addcmul_(of_variance[:, None], slope, value=-1)
+        return None, of_weight, of_scale * root, of_shift, None, None, None, None, None
 
 
 class PillarEncoder(nn.Module):
@@ -176,29 +223,25 @@ class PillarEncoder(nn.Module):
 
     def forward(self, pillars: Pillars) -> Tensor:
         """Return the (N, C, H, W) feature map; cells without points are zero."""
-        # The norm's statistics and the points' offsets need single precision, and there is little matrix work.
-        with torch.autocast(pillars.points.device.type, enabled=False):
-            return self.scatter(self.features(pillars), pillars)
+        return self.scatter(self.features(pillars), pillars)
 
     def features(self, pillars: Pillars) -> Tensor:
         """Return (V, C) features of the pillars."""
         n_pillars = pillars.coords.shape[0]  # which an export may leave open, and `len` not
         if n_pillars == 0:
             return pillars.points.new_zeros((0, self.linear.out_features))
-        points = self.augment(pillars)
-        zeros = n_pillars * self.max_points - points.shape[0] if self.padded_slots else 0
-        weight = self.linear.weight
-        scale, shift = self.norm.scale_shift(points, weight, zeros)
-        # The norm is monotonic per channel: take the extreme first and normalise V rows instead of P.
-        sign = torch.copysign(torch.ones_like(scale), scale.detach())
-        parts = points, weight * sign[:, None], pillars.pillar, n_pillars
-        x_vc = (_LinearMax.apply(*parts) if torch.is_grad_enabled() else _linear_max(*parts)[1]) * sign
-        x_vc = torch.addcmul(shift, x_vc, scale)
-        if self.padded_slots:
-            # A zero row that pads the pillar enters the maximum with the norm of zero, which is the shift.
-            padded = (pillars.count < self.max_points)[:, None]
-            x_vc = torch.where(padded, torch.maximum(x_vc, shift), x_vc)
-        return torch.relu(x_vc)
+        # The norm's statistics and the points' offsets need single precision, and there is little matrix work.
+        with torch.autocast(pillars.points.device.type, enabled=False):
+            points = self.augment(pillars)
+            zeros, padded = 0, None
+            if self.padded_slots:
+                zeros = n_pillars * self.max_points - points.shape[0]
+                padded = (pillars.count < self.max_points)[:, None]
+            weight, norm = self.linear.weight, self.norm
+            parts = norm, pillars.pillar, n_pillars, zeros, padded
+            if torch.is_grad_enabled():
+                return _NormedMax.apply(points, weight, norm.weight, norm.bias, *parts)
+            return _normed_max(points, weight, *parts)[0]
 
     def augment(self, pillars: Pillars) -> Tensor:
         """Return (P, D + 6): the points with their offsets to the pillar's mean and centre."""
@@ -206,7 +249,7 @@ class PillarEncoder(nn.Module):
         total = xyz.new_zeros((pillars.coords.shape[0], 3)).index_add_(0, rows, xyz)
         mean = total / pillars.count[:, None]
         reference = torch.cat([mean, self.centre(pillars)], dim=1)[rows]
-        return torch.cat([pillars.points, xyz - reference[:, :3], xyz - reference[:, 3:]], dim=1)
+        return torch.cat([pillars.points, xyz.repeat(1, 2) - reference], dim=1)
 
     def centre(self, pillars: Pillars) -> Tensor:
         """Return (V, 3) float32 centres of the pillars, m."""

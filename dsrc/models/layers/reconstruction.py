@@ -4,6 +4,7 @@ Used in training only. The paper's form: ten vertical bins of 0.4 m, an occupanc
 mean point from its centre. (The released code's target has a single 4 m bin; `reconstruction_cell_z_m` = 4 gives it.)
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -53,22 +54,23 @@ class Reconstruction(nn.Module):
         self.offset = nn.Conv3d(hidden, 3, 1)
         self.occupancy = nn.Conv3d(hidden, 1, 1)
 
-    def forward(self, fused: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, D, H, W) occupancy logits and the (B, C, D, H, W) feature that `offsets_at` reads."""
+    def forward(self, fused: Tensor, voxel: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Return (B, 1, D, H, W) occupancy logits, and (K, 3) offsets at K voxels; losses compare no others.
+
+        Args:
+            fused: (B, C, h, w).
+            voxel: (K,) samples, z, y and x of the voxels.
+        """
         count_batch(self)
         batch, _, height, width = fused.shape
         column = self.expand(fused).reshape(batch, -1, self.bins // 2, height, width)
         volume = self.generate(column)
-        return self.occupancy(volume).squeeze(1), volume
-
-    def offsets_at(self, volume: Tensor, voxel: Tensor) -> Tensor:
-        """Return (K, 3) offsets at K voxels; losses compare no others."""
-        b, z, y, x = voxel.unbind(1)
+        b, z, y, x = voxel
         weight = self.offset.weight.flatten(1)
-        return functional.linear(volume[b, :, z, y, x], weight, self.offset.bias)
+        return self.occupancy(volume), functional.linear(volume[b, :, z, y, x], weight, self.offset.bias)
 
 
-def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, Tensor, Tensor | None]:
+def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, tuple[Tensor, ...], Tensor | None]:
     """Crop the fused feature and the scene to a random window.
 
     Args:
@@ -77,11 +79,11 @@ def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, T
         share: share of the feature's height and width; 1 returns both unchanged.
 
     Returns:
-        (B, C, h', w') feature; (K, 4) places of the voxels in the window, of those outside at its edge; (K,) bool which
-        are inside, None for all. To leave out the others, the host would have to wait for the device.
+        (B, C, h', w') feature; (K,) samples, z, y and x of the voxels in the window, of those outside at its edge; (K,)
+        bool which are inside, None for all. To leave out the others, the host would have to wait for the device.
     """
     if share == 1:
-        return fused, scene.voxel, None
+        return fused, scene.voxel.unbind(1), None
     sizes = [max(round(size * share), 1) for size in fused.shape[-2:]]
     draws = [torch.randint(whole - size + 1, ()) for whole, size in zip(fused.shape[-2:], sizes, strict=True)]
     (top, left), (height, width) = (int(draw.numpy()) for draw in draws), sizes
@@ -89,11 +91,14 @@ def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, T
     y, x = y - 2 * top, x - 2 * left
     near_y, near_x = y.clamp(0, 2 * height - 1), x.clamp(0, 2 * width - 1)
     cut = fused[..., top : top + height, left : left + width]
-    return cut, torch.stack([b, z, near_y, near_x], dim=1), (near_y == y) & (near_x == x)
+    return cut, (b, z, near_y, near_x), (near_y == y) & (near_x == x)
 
 
 def reconstruction_losses(
-    head: Reconstruction, fused: Tensor, scene: SceneVoxels, window: float = 1.0
+    head: Callable[[Tensor, Sequence[Tensor]], tuple[Tensor, Tensor]],
+    fused: Tensor,
+    scene: SceneVoxels,
+    window: float = 1.0,
 ) -> tuple[Tensor, Tensor]:
     """Return the occupancy and the offset loss.
 
@@ -101,14 +106,15 @@ def reconstruction_losses(
     is printed with that weight on the whole sum, which balances nothing.) The offset loss is Equation 8.
 
     Args:
+        head: the `Reconstruction`.
         fused: (B, C, h, w) fused feature of the student.
         window: share of the feature's height and width that is reconstructed, at a random place.
     """
     fused, voxel, inside = windowed(fused, scene, window)
-    logits, volume = head(fused)
+    logits, offsets = head(fused, voxel)
     logits = logits.float()
-    b, z, y, x = voxel.unbind(1)
-    _, depth, height, width = logits.shape
+    b, z, y, x = voxel
+    *_, depth, height, width = logits.shape
     cell = ((b * depth + z) * height + y) * width + x
     target = torch.zeros_like(logits)
     # An offset of exactly 0 counts as absent, as released.
@@ -117,10 +123,11 @@ def reconstruction_losses(
         count = torch.full((), float(len(cell)), device=target.device)
         target.view(-1).index_fill_(0, cell, 1.0)
     else:
-        count = inside.sum().to(target.dtype)
-        target.view(-1).index_add_(0, cell, inside.to(target.dtype))
+        kept = inside.to(target.dtype)
+        count = kept.sum()
+        target.view(-1).index_add_(0, cell, kept)
         valid &= inside[:, None]
     weight = (target.numel() - count) / count.clamp(min=1)
     mask_loss = functional.binary_cross_entropy_with_logits(logits, target, pos_weight=weight)
-    error = (head.offsets_at(volume, voxel).float() - scene.offset).abs()
+    error = (offsets.float() - scene.offset).abs()
     return mask_loss, (error * valid).sum() / valid.sum().clamp(min=1)

@@ -61,8 +61,9 @@ def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Dete
             _fold_norms(module, precision)
     sparse = fused and isinstance(fast.backbone, Res2Net)
     fast.encoder = FusedEncoder(fast.encoder, dense=not sparse)  # type: ignore[assignment]
+    heads = (fast.cls_head, fast.reg_head, fast.direction_head)
     for layer in fast.modules():
-        if isinstance(layer, FusedConv):
+        if isinstance(layer, FusedConv) or layer in heads:
             layer.to(precision)
     fast.precision = precision
     return fast
@@ -216,7 +217,7 @@ class FusedEncoder(nn.Module):
         """Fuse an encoder; `dense` gives maps of all cells, else of the pillars."""
         super().__init__()
         self.encoder, self.dense = encoder, dense
-        scale, shift = encoder.norm.scale_shift(encoder.linear.weight[:0], encoder.linear.weight)
+        scale, shift = encoder.norm.scale_shift()
         # A scale below zero turns the minimum into the maximum: folded into the weight first, it is always the maximum.
         self.register_buffer("weight", (encoder.linear.weight * scale[:, None]).T.contiguous())
         self.register_buffer("shift", shift.clone())

@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from dsrc.models.layers.backbones import Res2Block, Res2Stage
 from dsrc.models.layers.conv_norm import ConvSequence, conv_norm, count_batch
 
 
@@ -59,3 +60,26 @@ def test_a_sequence_has_the_names_and_results_of_a_plain_one() -> None:
     assert joined.state_dict().keys() == plain.state_dict().keys()
     torch.testing.assert_close(joined(x), plain(x))
     torch.testing.assert_close(joined.eval()(x), plain.eval()(x))
+
+
+@pytest.mark.parametrize("end", [[], [nn.ReLU()]])
+def test_a_run_of_layers_has_the_gradients_of_finite_differences(end: list[nn.Module]) -> None:
+    torch.manual_seed(0)
+    parts = [nn.Conv2d(2, 3, 1), nn.BatchNorm2d(3), nn.ReLU(), nn.Conv2d(3, 2, 3, padding=1), nn.BatchNorm2d(2), *end]
+    joined, x = ConvSequence(*parts).double(), torch.randn(2, 2, 3, 4, dtype=torch.float64, requires_grad=True)
+    weights = list(joined.parameters())
+    assert torch.autograd.gradcheck(lambda x, *_: joined(x), (x, *weights))
+
+
+def test_a_stage_of_blocks_is_what_its_layers_are_one_by_one() -> None:
+    torch.manual_seed(0)
+    blocks = [Res2Block(3, 8, 32, True), Res2Block(8, 8, 32, False), Res2Block(8, 8, 32, False)]
+    stage, x = Res2Stage(*blocks).double(), torch.randn(2, 3, 8, 8, dtype=torch.float64)
+    found = []
+    for run in (stage, lambda x: blocks[2](blocks[1](blocks[0](x)))):
+        stage.zero_grad()
+        x = x.detach().requires_grad_()
+        out = run(x)
+        (out * torch.arange(out.numel()).view_as(out).sin()).sum().backward()
+        found.append([out, x.grad, *(weight.grad for weight in stage.parameters())])
+    torch.testing.assert_close(*found)
