@@ -4,6 +4,7 @@ Names are imported when first used: `import dsrc` takes milliseconds. Everything
 minor versions; modules below it may move.
 """
 
+import sys as _sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from dsrc.ops.detections import Detections
     from dsrc.ops.grid import GridSpec
     from dsrc.options.detection import Evaluation
+    from dsrc.review.page.app import view
     from dsrc.review.page.output.export import export_html
     from sensors.corruptions import check_corruption, corrupt_frame, kinds_of, register_corruption
     from sensors.deskew import deskew
@@ -88,6 +90,7 @@ _MODULES = {
     "dsrc.ops.detections": ("Detections",),
     "dsrc.ops.grid": ("GridSpec",),
     "dsrc.options.detection": ("Evaluation",),
+    "dsrc.review.page.app": ("view",),
     "dsrc.review.page.output.export": ("export_html",),
     "sensors.corruptions": ("check_corruption", "corrupt_frame", "kinds_of", "register_corruption"),
     "sensors.deskew": ("deskew",),
@@ -173,6 +176,7 @@ __all__ = [
     "DrivingEnv",
     "register_environments",
     "export_html",
+    "view",
     # parts of one's own
     "register_scenario",
     "check_scenario",
@@ -214,3 +218,9 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__, "__version__"})
+
+
+if "gymnasium.envs.registration" in _sys.modules:
+    # `gymnasium.make("dsrc:dsrc/Meta-v0")` imports what stands before the colon, in processes of its own too; without an
+    # installation no entry point registers the environments. Who has no gymnasium loaded loads nothing here.
+    import_module("dsrc.closed_loop.environments")

@@ -10,6 +10,7 @@ from dsrc.cli.progress import log_lines, made, progress
 from dsrc.options.fields import File, Output
 from dsrc.options.review import Review, ServeOptions
 
+_OF_SERVER = ("host", "port", "allow_origin")
 _OF_CORRUPTION = ("severity", "family", "corrupted_agents")
 _LEAVE_OUT = "leave out {}"
 _ADD_CORRUPTION = "{} says how sensors are corrupted; add --corruption"
@@ -89,11 +90,15 @@ class View(ServeOptions, frozen=True, kw_only=True):
         draws = self.picture is not None or self.animation is not None
         unused: dict[str, str] = {}
         if self.out is not None:
-            unused |= dict.fromkeys(("frame", "link", "host", "port"), f"--out writes a page; {_LEAVE_OUT}")
+            unused |= dict.fromkeys(
+                ("frame", "link", "host", "port", "allow_origin"), f"--out writes a page; {_LEAVE_OUT}"
+            )
             if self.corruption == "clean":
                 unused |= dict.fromkeys(_OF_CORRUPTION, _ADD_CORRUPTION)
         elif draws:
-            unused |= dict.fromkeys(("host", "port"), f"a picture is drawn without a server; {_LEAVE_OUT}")
+            unused |= dict.fromkeys(
+                ("host", "port", "allow_origin"), f"a picture is drawn without a server; {_LEAVE_OUT}"
+            )
         else:
             unused["link"] = "{} says what a picture shows; add --picture or --animation"
         if not draws:

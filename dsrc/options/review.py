@@ -2,6 +2,8 @@
 
 from typing import Annotated, Literal
 
+from tyro.conf import arg
+
 from dsrc.options.detection import AutoEngine, Checkpoint
 from dsrc.options.fields import CORRUPTIONS, Corrupted, Data, File, Folder, choice
 
@@ -33,12 +35,15 @@ class ServeOptions(Review, frozen=True):
         frame: frame at the start, its row in the first drive.
         host: address to listen on; default: this machine alone.
         port: port of the page; default: a free one.
+        allow_origin: hosts under which a proxy or a tunnel shows the page, such as hub.example.org of JupyterHub; the
+            page still listens on `host` alone.
     """
 
     data: Data
     frame: int = 0
     host: str = "127.0.0.1"
     port: int | None = None
+    allow_origin: Annotated[tuple[str, ...], arg(metavar="HOST [...]")] = ()
 
 
 class PageOptions(Review, frozen=True):

@@ -23,6 +23,7 @@ from sim.reading import parsing, read_text
 VEHICLES = {"car": "car", "van": "van", "truck": "truck", "bus": "bus"}
 """Our classes by KITTI's types, in any case; it has no buses, but others' files in its format do."""
 _WIDTH = 15
+_FULL_TURN = 2.0 * np.pi + 1e-6
 _LARGEST = 1e7
 _NO_NUMBERS = ("calib_time:",)
 """Lines of KITTI's raw calibrations that hold a date."""
@@ -110,6 +111,8 @@ def parse_labels(
         values = _values(path, number, line, words[1:width])
         if not (np.abs(values) <= _LARGEST).all() or (values[7:10] <= 0).any():
             raise DataError(complaint(path, f"line {number}", "a box of positive size", line))
+        if abs(values[13]) > _FULL_TURN:
+            raise DataError(complaint(path, f"line {number}", "rotation_y in radians, within 2 pi", f"{values[13]:g}"))
         kept.append(values[None])
         labels.append(CLASSES.index(name))
     rows = np.concatenate(kept)

@@ -37,12 +37,21 @@ class Truth:
         own: (N,) the ego's own box.
         reach_m: (N,) distance from the ego of the nearest agent with a point on it, m; 0 where the ego has one.
         image: of each box in the camera's image; None if unknown.
+        rounds: boxes are judged as float32, as stored ones are; which of them count is decided before.
     """
 
     boxes: Boxes
     own: NDArray[np.bool_]
     reach_m: NDArray[np.float64]
     image: InImage | None = None
+    rounds: bool = False
+
+    def judged(self, rows: NDArray[np.bool_] | slice) -> Boxes:
+        """Return the boxes of some rows as they are judged."""
+        boxes = self.boxes[rows]
+        if not self.rounds:
+            return boxes
+        return Boxes.from_array(boxes.array.astype(np.float32), boxes.label, boxes.object_id)
 
     @classmethod
     def of(cls, boxes: Boxes, own: NDArray[np.bool_] | None = None, image: InImage | None = None) -> Self:
@@ -79,4 +88,4 @@ def select(protocol: Protocol, detections: Detections, truth: Truth) -> FrameRes
     kept = protocol.counts(truth.boxes) & (truth.reach_m <= protocol.reach_m)
     if not protocol.ego:
         kept &= ~truth.own
-    return FrameResult(detections[protocol.counts(detections.boxes)], truth.boxes[kept])
+    return FrameResult(detections[protocol.counts(detections.boxes)], truth.judged(kept))

@@ -24,7 +24,7 @@ from dsrc.evaluation.metrics.kitti import Level, Rated, RatedFrame
 from dsrc.evaluation.metrics.protocols import Protocol, get_protocols
 from dsrc.evaluation.results import CLEAN
 from dsrc.evaluation.scoring.frames import DetectionSet, FrameKey, Truth, select
-from dsrc.evaluation.scoring.read import read_detections
+from dsrc.evaluation.scoring.read import check_radians, read_detections
 from dsrc.evaluation.scoring.truth import read_truth
 from dsrc.ops.detections import Detections
 from dsrc.options.detection import Scoring
@@ -89,6 +89,8 @@ def score(
         sets = read_detections(Path(detections), tree, corruption)
     else:
         where = "detections"
+        for i, found in enumerate(detections):
+            check_radians(where, f"frame {i}", found.boxes.yaw)
         sets = [DetectionSet(where, {FrameKey("", i): found for i, found in enumerate(detections)})]
     known: Mapping[FrameKey, Truth] | None = None
     if tree is not None:
@@ -96,6 +98,8 @@ def score(
         if not any(len(one.boxes) for one in known.values()):
             raise DataError(complaint(tree, "truth", f"true boxes in the frames of {where}", "none"))
     elif truth is not None and not isinstance(truth, str | Path):
+        for i, boxes in enumerate(truth):
+            check_radians("truth", f"frame {i}", boxes.yaw)
         known = {FrameKey("", i): Truth.of(boxes) for i, boxes in enumerate(truth)}
         if any(known.keys() != one.frames.keys() for one in sets):
             found = f"{len(known)} of {len(sets[0].frames)}"
@@ -164,7 +168,7 @@ def _rated_frames(one: DetectionSet, truth: Mapping[FrameKey, Truth]) -> Iterato
     for key, found in one.frames.items():
         true = truth[key]
         if one.images is not None and true.image is not None:
-            yield RatedFrame(found, one.images[key], true.boxes, true.image)
+            yield RatedFrame(found, one.images[key], true.judged(slice(None)), true.image)
 
 
 def _score_of_level(one: DetectionSet, protocol: Protocol, level: Level, rated: Rated) -> Score:

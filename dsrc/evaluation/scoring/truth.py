@@ -12,7 +12,6 @@ from dsrc.data.formats import kitti_labels
 from dsrc.evaluation.scoring.frames import FrameKey, Truth
 from dsrc.runs.executors import Progress
 from sensors.frame import Frame
-from sim.boxes import Boxes
 from sim.errors import DataError, complaint
 from sim.geometry import invert
 
@@ -50,7 +49,8 @@ def truth_of_frame(frame: Frame, ego_id: int | None = None, drive: str = "") -> 
 def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None = None) -> dict[FrameKey, Truth]:
     """Read the true boxes of frames.
 
-    Boxes are rounded to float32, as stored detections are.
+    Those that count are judged as float32, as stored ones are; a box that ends at the border of a range is in it or out
+    of it by its own digits, as in OpenCOOD.
 
     Args:
         tree: drive, folder of drives, or KITTI's object tree.
@@ -64,9 +64,7 @@ def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None =
     read = _Drives(tree).truth if labels is None else partial(_of_labels, labels)
     found = {}
     for done, key in enumerate(keys, 1):
-        truth = read(key)
-        rounded = Boxes.from_array(truth.boxes.array.astype(np.float32), truth.boxes.label, truth.boxes.object_id)
-        found[key] = replace(truth, boxes=rounded)
+        found[key] = replace(read(key), rounds=True)
         if progress:
             progress(done, len(keys))
     return found

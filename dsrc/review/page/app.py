@@ -5,7 +5,8 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl
 
 import viser
@@ -17,7 +18,7 @@ from dsrc.review.page.cameras import overview
 from dsrc.review.page.cells import PAIR, CellPair
 from dsrc.review.page.link import read_link
 from dsrc.review.page.scene import place_static, set_light, set_start_camera
-from dsrc.review.page.server import LOOPBACK, address, checked_port, link_of, start_server, stop_server
+from dsrc.review.page.server import LOOPBACK, address, allowed_hosts, checked_port, link_of, start_server, stop_server
 from dsrc.review.page.session import Session
 from dsrc.review.page.stage import root_of
 from dsrc.review.sources.live import LiveSource
@@ -28,6 +29,8 @@ from sensors.corruptions import Condition
 from sim.errors import SettingsError, UserError, complaint
 
 if TYPE_CHECKING:
+    from dsrc.data.drives import Drive
+
     # The closed loop takes a second to import.
     from dsrc.review.sources.episodes import EpisodeSource
 
@@ -60,6 +63,10 @@ class ReviewApp:
         set_light(server.scene)
         server.on_client_connect(self._open)
         server.on_client_disconnect(self._end)
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame, as notebooks show it."""
+        return f'<iframe src="{self.url}" width="100%" height="600" style="border:0"></iframe>'
 
     def wait_session(self, count: int = 1, timeout_s: float = 30.0) -> list[Session]:
         """Wait until at least `count` browsers are connected and return their sessions, oldest first."""
@@ -213,6 +220,24 @@ def first_state(model: ReviewModel, options: ServeOptions) -> ReviewState:
     raise first or SettingsError(complaint("view", "data", "a drive", "none"))
 
 
+def view(data: "Drive | Path | str", **options: Any) -> ReviewApp:
+    """Show a review page in a notebook, in a frame below the cell, while the notebook goes on.
+
+    Args:
+        data: a drive, or a path as `dsrc view` takes it.
+        options: of `ServeOptions`. The frame is asked for at this machine: where the notebook runs elsewhere, give the
+            port to the tunnel and the tunnel's host as `allow_origin`.
+
+    Returns:
+        The page: `close()` ends it, `url` is its address.
+
+    Raises:
+        UserError: see `serve`.
+    """
+    path = data if isinstance(data, str | Path) else data.drive
+    return serve(ServeOptions(Path(path), **options), block=False)
+
+
 @takes_fields(ServeOptions)
 def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], None] | None = None) -> ReviewApp:
     """Serve a review page of drives.
@@ -231,10 +256,10 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
         CheckpointError: the checkpoint cannot be loaded.
     """
     Condition.of(options.corruption, options.severity, options.family, options.corrupted_agents).checked()
-    port = checked_port(options.host, options.port)
+    port, _ = checked_port(options.host, options.port), allowed_hosts(options.allow_origin)  # told before the work
     model = open_model(options.data, options.checkpoint, options.drives, options.engine)
     start = first_state(model, options)
-    server = start_server(options.host, port)
+    server = start_server(options.host, port, options.allow_origin)
     app = ReviewApp(model, server, start)
     try:
         set_start_camera(server, overview(model.sketch(start)))

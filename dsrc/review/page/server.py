@@ -7,7 +7,7 @@ import logging
 import socket
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -59,18 +59,22 @@ def checked_port(host: str = LOOPBACK, port: int | None = None) -> int:
     return wanted
 
 
-def start_server(host: str = LOOPBACK, port: int | None = None) -> viser.ViserServer:
+def start_server(host: str = LOOPBACK, port: int | None = None, allow_origin: Sequence[str] = ()) -> viser.ViserServer:
     """Start a server; the caller stops it.
 
+    Args:
+        allow_origin: further hosts that the page is asked by, of proxies and tunnels that lead here.
+
     Raises:
-        SettingsError: the port is taken, or `host` is not an address of this machine.
+        SettingsError: the port is taken, `host` is not an address of this machine, or an origin is no host.
     """
+    allowed = allowed_hosts(allow_origin)
     wanted = checked_port(host, port)
     # A browser may go while a frame is on its way to it.
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     logging.getLogger("websockets.server").addFilter(_worth_telling)
     # viser prints a banner to standard output, which belongs to the command's results.
-    with _own_requests(host), contextlib.redirect_stdout(io.StringIO()):
+    with _own_requests(host, allowed), contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=wanted, label="Review", verbose=False)
 
 
@@ -80,13 +84,13 @@ def _worth_telling(record: logging.LogRecord) -> bool:
 
 
 @contextlib.contextmanager
-def _own_requests(host: str) -> Iterator[None]:
+def _own_requests(host: str, allowed: Collection[str]) -> Iterator[None]:
     """Answer the requests of servers started in the block ourselves where viser's answer does not do."""
     # viser takes no `process_request` of its own, and starts its server while it is constructed.
     serve = websockets.asyncio.server.serve
 
     def guarded(*args: Any, process_request: Process, **kwargs: Any) -> Any:
-        return serve(*args, process_request=_answer(process_request, host), **kwargs)
+        return serve(*args, process_request=_answer(process_request, host, allowed), **kwargs)
 
     with _starting:
         websockets.asyncio.server.serve = guarded  # type: ignore[assignment,misc]
@@ -96,11 +100,11 @@ def _own_requests(host: str) -> Iterator[None]:
             websockets.asyncio.server.serve = serve  # type: ignore[misc]
 
 
-def _answer(process: Process, host: str) -> Process:
+def _answer(process: Process, host: str, allowed: Collection[str]) -> Process:
     """Answer of the server: nothing for other origins, and the page with our script in its head."""
 
     def answer(connection: object, request: Request) -> Response | None:
-        if not same_origin(request.headers, host):
+        if not same_origin(request.headers, host, allowed):
             return Response(http.HTTPStatus.FORBIDDEN, "FORBIDDEN", Headers(), b"this page is for its own origin alone")
         if request.path.partition("?")[0] == PATH:
             body = HTML.encode()
@@ -120,19 +124,38 @@ def _answer(process: Process, host: str) -> Process:
     return answer
 
 
-def same_origin(headers: Headers, host: str) -> bool:
-    """Whether a request comes from a page of this server, or from no page.
+def allowed_hosts(given: Sequence[str]) -> frozenset[str]:
+    """Return the hosts of names or addresses, `hub.example.org` of `https://hub.example.org:8000/user`.
+
+    Raises:
+        SettingsError: one is no host; `*` is none, since any page could then read this one.
+    """
+    hosts = set()
+    for text in given:
+        try:
+            name = urlsplit(text if "//" in text else f"//{text}").hostname
+        except ValueError:
+            name = None
+        if not name or "*" in name:
+            raise SettingsError(complaint("view", "allow-origin", "a host, such as hub.example.org", text))
+        hosts.add(name)
+    return frozenset(hosts)
+
+
+def same_origin(headers: Headers, host: str, allowed: Collection[str] = ()) -> bool:
+    """Whether a request comes from a page of this server, from one of an allowed host, or from no page.
 
     Pages of any origin may open a websocket to the loopback, and a foreign name may be made to lead to it: a browser
     tells both in the headers.
 
     Args:
         host: address that the server listens on.
+        allowed: further hosts, of proxies, which may keep the name that they were asked by or put ours in its place.
     """
     name, origin = headers.get("Host", ""), headers.get("Origin")
-    if host in _LOOPBACK_NAMES and urlsplit(f"//{name}").hostname not in _LOOPBACK_NAMES:
+    if host in _LOOPBACK_NAMES and urlsplit(f"//{name}").hostname not in {*_LOOPBACK_NAMES, *allowed}:
         return False
-    return origin is None or urlsplit(origin).netloc == name
+    return origin is None or urlsplit(origin).netloc == name or urlsplit(origin).hostname in allowed
 
 
 def link_of(server: viser.ViserServer, client_id: int) -> str:

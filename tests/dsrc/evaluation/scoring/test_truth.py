@@ -1,6 +1,7 @@
 """True boxes of trees: those an evaluation takes, and what the protocols choose among."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,3 +107,18 @@ def test_what_the_tree_lacks_is_one_line(tmp_path: Path) -> None:
         read_truth(tmp_path / "one", [FrameKey("", 3, 77)])
     with pytest.raises(DataError, match="nowhere: no such folder"):
         read_truth(tmp_path / "nowhere", [FrameKey("", 4)])
+
+
+def test_a_box_counts_by_its_own_digits_and_is_judged_by_those_of_stored_ones(tmp_path: Path) -> None:
+    """A truck of 2.9 m under a LiDAR at 1.9 m ends at z = 1.0, the border of OpenCOOD's range, give or take 1e-9."""
+    inside = Boxes.from_array([[20.0, 0.1, -0.45 - 1e-9, 8.0, 2.5, 2.9, 0.0]])
+    outside = Boxes.from_array([[20.0, 0.1, -0.45 + 1e-9, 8.0, 2.5, 2.9, 0.0]])
+    counted = [
+        select(PROTOCOLS["opencood"], Detections.zeros(), replace(Truth.of(boxes), rounds=True)).truth
+        for boxes in (inside, outside)
+    ]
+    assert [len(boxes) for boxes in counted] == [1, 0]
+    assert np.array_equal(counted[0].array, inside.array.astype(np.float32))
+    write_frame(tmp_path / "one", toy_frame(0))
+    (truth,) = read_truth(tmp_path, [FrameKey("one", 0)]).values()
+    assert np.array_equal(truth.boxes.array, truth_of_frame(open_drive(tmp_path / "one").read(0)).boxes.array)

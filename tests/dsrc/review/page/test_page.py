@@ -16,12 +16,13 @@ import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+import dsrc
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp, serve
 from dsrc.review.page.scene import SceneWriter, place_static
-from dsrc.review.page.server import start_server, stop_server
+from dsrc.review.page.server import address, start_server, stop_server
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
 from dsrc.review.view import UNJUDGED
 from sensors.frame import Frame
@@ -162,6 +163,49 @@ def test_a_foreign_name_that_leads_to_the_loopback_gets_nothing(app: ReviewApp) 
     # A forwarded port has another number on the other side.
     with urllib.request.urlopen(local, timeout=10) as answer:
         assert answer.status == 200
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "hub.example", "Origin": "https://hub.example"}, 200),  # code-server and tunnels keep the name
+        ({"Origin": "https://hub.example:8443"}, 200),  # jupyter-server-proxy puts that of the server in its place
+        ({"Host": "hub.example"}, 200),
+        ({"Host": "hub.example", "Origin": "https://evil.example"}, 403),
+        ({"Host": "evil.example", "Origin": "https://hub.example"}, 403),
+        ({"Origin": "https://hub.example.evil"}, 403),
+    ],
+)
+def test_an_allowed_host_shows_the_page_and_no_other_does(headers: dict[str, str], status: int) -> None:
+    server = start_server(allow_origin=["https://hub.example/user/me"])
+    try:
+        request = urllib.request.Request(address(server), headers=headers)
+        try:
+            with urllib.request.urlopen(request, timeout=10) as answer:
+                found = answer.status
+        except urllib.error.HTTPError as error:
+            found = error.code
+        assert found == status
+        assert server.get_host() == "127.0.0.1"
+    finally:
+        stop_server(server)
+
+
+@pytest.mark.parametrize("host", ["*", "", "https://", "*.example"])
+def test_an_origin_that_is_no_host_is_refused(host: str) -> None:
+    with pytest.raises(SettingsError, match="allow-origin: expected a host"):
+        start_server(allow_origin=[host])
+
+
+def test_a_drive_is_a_frame_of_a_notebook(tmp_path: Path, frame: Frame) -> None:
+    write_frame(tmp_path / "drive", frame)
+    page = dsrc.view(dsrc.open_drive(tmp_path / "drive"))
+    try:
+        assert page._repr_html_().startswith(f'<iframe src="{page.url}"')
+        with urllib.request.urlopen(page.url, timeout=10) as answer:
+            assert answer.status == 200
+    finally:
+        page.close()
 
 
 def test_serve_opens_a_folder_of_drives(tmp_path: Path, frame: Frame, connect_browser: type[SocketBrowser]) -> None:
