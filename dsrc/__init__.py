@@ -221,6 +221,6 @@ def __dir__() -> list[str]:
 
 
 if "gymnasium.envs.registration" in _sys.modules:
-    # `gymnasium.make("dsrc:dsrc/Meta-v0")` imports what stands before the colon, in processes of its own too; without an
+    # `gymnasium.make("dsrc:dsrc/Meta-v0")` imports what stands before the colon, in processes too; without an
     # installation no entry point registers the environments. Who has no gymnasium loaded loads nothing here.
     import_module("dsrc.closed_loop.environments")

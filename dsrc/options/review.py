@@ -36,7 +36,7 @@ class ServeOptions(Review, frozen=True):
         host: address to listen on; default: this machine alone.
         port: port of the page; default: a free one.
         allow_origin: hosts under which a proxy or a tunnel shows the page, such as hub.example.org of JupyterHub; the
-            page still listens on `host` alone.
+            page still listens on `host` alone; default: none.
     """
 
     data: Data
