@@ -1,13 +1,35 @@
-"""Commands `dsrc evaluate`, `benchmark`, `shares` and `score`: what is found, clean and corrupted, and by whom."""
+"""Commands `dsrc detect`, `evaluate`, `benchmark`, `shares` and `score`: what is found, corrupted, and by whom."""
 
 import sys
 from pathlib import Path
 
 from dsrc.cli.progress import made, progress
 from dsrc.cli.toml_files import require_kind
-from dsrc.options.detection import BenchmarkOptions, Device, Engine, Evaluation, Scoring, Sharing
+from dsrc.options.detection import BenchmarkOptions, Detection, Device, Engine, Evaluation, Scoring, Sharing
 from dsrc.options.fields import File, Folder, Output
 from dsrc.runs.executors import Pool
+
+
+class Detect(Detection, frozen=True, kw_only=True):
+    """Detect in drives and write the boxes: JSON, and KITTI's or OpenCOOD's form.
+
+    Examples:
+        dsrc detect data/test --checkpoint detector.pt --out boxes
+        dsrc detect data/test --checkpoint my_module:Detector --height auto --format kitti --out boxes
+    """
+
+    pool: Pool = Pool()
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Detect, write the boxes and say how many there are."""
+        from dsrc.evaluation.find import detect_drives
+        from sim.files import check_apart
+
+        check_apart(self.out, self.data)
+        with progress(f"detect in {self.data}") as report:
+            row, places = detect_drives(self, self.pool, report)
+        made(places, f"{row.detections} boxes in {row.frames} frames", "view", self.out)
 
 
 class Evaluate(Evaluation, frozen=True, kw_only=True):

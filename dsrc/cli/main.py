@@ -30,6 +30,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
         "export": "model.Export",
         "fit": "model.Fit",
     },
+    "detect": "evaluate.Detect",
     "evaluate": "evaluate.Evaluate",
     "benchmark": "evaluate.Benchmark",
     "shares": "evaluate.Shares",

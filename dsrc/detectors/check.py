@@ -101,7 +101,7 @@ class _Check:
     def _untouched(self) -> str:
         given = copy.deepcopy(self.sample)
         self.detector.detect(given)
-        pairs = [
+        pairs: list[tuple[Any, Any]] = [
             *zip(given.clouds, self.sample.clouds, strict=True),
             (given.ego_from_agent, self.sample.ego_from_agent),
         ]

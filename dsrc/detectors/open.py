@@ -9,6 +9,7 @@ import msgspec
 
 from dsrc.data.sample import SampleDetector
 from dsrc.detectors.classes import OwnDetector, class_hash, load_own
+from dsrc.detectors.levelled import RECORDED, LevelledDetector, check_height, levelled
 from dsrc.detectors.onnx_file import open_onnx, runtime_version
 from dsrc.detectors.process import ProcessDetector
 from dsrc.detectors.texts import command_of, kind_of
@@ -32,7 +33,8 @@ def open_detector(
         text: a detector file, `FILE.onnx`, `module:Class` of one's own, `pipe:COMMAND ...` or `tcp://localhost:PORT`.
         device: of the network of a detector file.
         engine: execution of the network of a detector file, see `dsrc.models.storage.deploy.ENGINES`.
-        use: changed settings of a detector file, see `dsrc.evaluation.config.MethodSpec`.
+        use: changed settings of a detector file, see `dsrc.evaluation.config.MethodSpec`; `height` of any detector, see
+            `dsrc.detectors.levelled`.
 
     Raises:
         CheckpointError: a file is missing, damaged or a teacher's.
@@ -40,9 +42,15 @@ def open_detector(
             that has none.
         DataError: a process does not answer.
     """
-    text, kind = str(text), kind_of(str(text))
+    text, changes = str(text), dict(use or {})
+    height = check_height(text, changes.pop("height", RECORDED))
+    return levelled(_opened(text, device, engine, changes), height)
+
+
+def _opened(text: str, device: Literal["cpu", "cuda"], engine: str, use: Use) -> SampleDetector:
+    kind = kind_of(text)
     if kind == "file":
-        return _adjusted(load_student(Path(text), device, engine), text, use or {})
+        return _adjusted(load_student(Path(text), device, engine), text, use)
     if use:
         raise SettingsError(complaint(text, "use", "none beside a detector of one's own", ", ".join(use)))
     if kind == "onnx":
@@ -80,18 +88,26 @@ def detector_sha256(text: str | Path, detector: SampleDetector | None = None) ->
             raise CheckpointError(f"{text}: no such checkpoint file")
         own = file_sha256(Path(text))
         return own if kind == "file" else _hash_of([own, runtime_version()])
-    opened = detector if isinstance(detector, ProcessDetector) else ProcessDetector(text)
+    inner = process_of(detector)
+    opened = inner or ProcessDetector(text)
     words = command_of(text)[1:] if kind == "pipe" else []
     files = {word: file_sha256(Path(word)) for word in words if Path(word).is_file()}
-    if opened is not detector:
+    if opened is not inner:
         opened.close()
     return _hash_of([text, opened.name, files])
 
 
 def close_detector(detector: SampleDetector) -> None:
     """End the process of a detector that has one."""
-    if isinstance(detector, ProcessDetector):
-        detector.close()
+    process = process_of(detector)
+    if process is not None:
+        process.close()
+
+
+def process_of(detector: SampleDetector | None) -> ProcessDetector | None:
+    """Return the detector that a process is, levelled or not; None of another."""
+    inner = detector.inner if isinstance(detector, LevelledDetector) else detector
+    return inner if isinstance(inner, ProcessDetector) else None
 
 
 def _hash_of(value: Any) -> str:

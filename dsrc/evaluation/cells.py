@@ -10,8 +10,7 @@ from typing import cast
 
 from dsrc.data.drives import Drive, open_drive
 from dsrc.data.sample import SampleDetector
-from dsrc.detectors.open import detector_sha256, open_detector
-from dsrc.detectors.process import ProcessDetector
+from dsrc.detectors.open import detector_sha256, open_detector, process_of
 from dsrc.evaluation.cache import CellSettings, write_cell
 from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.models.device import one_thread
@@ -65,9 +64,9 @@ def detector_of(job: CellJob) -> SampleDetector:
     """Return the detector of a cell, opened once per process."""
     settings, use = job.settings, tuple(sorted(job.settings.use.items()))
     detector = _opened(job.text, settings.detector, use, settings.engine, cast(Device, settings.device))
-    if isinstance(detector, ProcessDetector) and detector_sha256(job.text, detector) != settings.detector:
-        expected = "the detector as it was when the evaluation began"
-        raise DataError(complaint(job.text, "name", expected, detector.name))
+    process = process_of(detector)
+    if process is not None and detector_sha256(job.text, process) != settings.detector:
+        raise DataError(complaint(job.text, "name", "that with which the evaluation began", process.name))
     return detector
 
 

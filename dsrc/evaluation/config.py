@@ -47,6 +47,7 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
+from dsrc.detectors.levelled import check_height
 from dsrc.detectors.texts import NO_COMMAND, is_there, kind_of, split_name, stem_of
 from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions, Comparison
@@ -72,9 +73,9 @@ class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     Attributes:
         name: in tables.
         detectors: detectors, one for each training of the method; see `dsrc.detectors.open`.
-        use: changed model settings, of `IN_USE`: the same detectors that send less, or that correct poses, are another
-            method. With `judged_by = "opencood"` the `ap_opencood` of a method is OpenCOOD's number, see
-            `dsrc.data.sample.JudgedBy`.
+        use: changed model settings, of `IN_USE`, and `height`, see `dsrc.detectors.levelled`: the same detectors that
+            send less, or that correct poses, are another method. With `judged_by = "opencood"` the `ap_opencood` of a
+            method is OpenCOOD's number, see `dsrc.data.sample.JudgedBy`.
         start: weights that its trainings began with, for a column of Table 1; "" for unknown.
         agents: most agents that take part, the ego included; None for the detectors' own number.
     """
@@ -313,9 +314,13 @@ def check(plan: Benchmark, where: str) -> None:
     for method in plan.methods:
         for field, value in method.use.items():
             place = f"methods.{method.name}.use"
+            if field == "height":
+                check_height(f"{where}: {place}", value)
+                continue
             if field not in IN_USE:
                 expected = "a setting that needs no training"
-                raise SettingsError(complaint(where, place, expected, field, did_you_mean(field, IN_USE)))
+                known = (*IN_USE, "height")
+                raise SettingsError(complaint(where, place, expected, field, did_you_mean(field, known)))
             hint = get_type_hints(ModelSettings, include_extras=True)[field]
             convert(value, hint, where, SettingsError, field=f"{place}.{field}")
     check_numbers(where, plan.seed, plan.frames)

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from dsrc.detectors.levelled import RECORDED, check_height
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
 from dsrc.evaluation.detect import join_results
@@ -85,10 +86,12 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
                 complaint("evaluate", "checkpoint", "names that differ", found, "; give names: name=path")
             )
         files[name] = path
-    methods = [MethodSpec(name=name, detectors=(path,)) for name, path in files.items()]
+    height = check_height("evaluate", config.height)
+    use: dict[str, bool | int | float | str] = {} if height == RECORDED else {"height": height}
+    methods = [MethodSpec(name=name, detectors=(path,), use=use) for name, path in files.items()]
     if config.ego_alone:
         first, path = next(iter(files.items()))
-        methods.append(MethodSpec(name=f"{first}, {EGO_ALONE}", detectors=(path,), agents=1))
+        methods.append(MethodSpec(name=f"{first}, {EGO_ALONE}", detectors=(path,), use=use, agents=1))
     plan = Benchmark(
         name="evaluate",
         methods=tuple(methods),

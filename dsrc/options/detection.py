@@ -65,6 +65,7 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
         frames: frames to evaluate, evenly spread; default: all.
         ego_alone: also evaluate the first detector without collaborators.
         channel: radio channels, each detector through each of them; default: no loss, no delay and no byte counts.
+        height: ground under the clouds, see dsrc detect.
         engine: execution of the networks: fused layers, the same in half precision for CPUs with AMX, PyTorch's
             compiler, or layer by layer.
         device: device of the networks.
@@ -80,9 +81,38 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
     frames: int | None = None
     ego_alone: bool = True
     channel: Channels = ()
+    height: Annotated[str, arg(metavar="{recorded,auto,METRES}")] = "recorded"
     engine: Engine = "fused"
     device: Device = "cpu"
     reuse: tuple[Folder, ...] = ()
+
+
+class Detection(msgspec.Struct, frozen=True, kw_only=True):
+    """Options of detections in drives.
+
+    Attributes:
+        checkpoint: detector, see dsrc evaluate.
+        data: a drive, or a folder of drives.
+        out: folder of boxes.json, which dsrc score reads, and of cached cells, with which dsrc view shows the boxes; an
+            interrupted run resumes.
+        format: further forms of the boxes: kitti for labels with scores, opencood for 0000_pred.npy; default: none.
+        height: ground under the clouds: recorded leaves them as they are, auto levels them by a ground fitted to each
+            cloud, and a number is the height of the LiDAR above flat ground, m.
+        ego_only: give the ego's cloud alone.
+        frames: frames to detect in, evenly spread; default: all.
+        engine: execution of the network, see dsrc evaluate.
+        device: device of the network.
+    """
+
+    checkpoint: Checkpoint
+    data: Data
+    out: Folder
+    format: tuple[Literal["kitti", "opencood"], ...] = ()
+    height: Annotated[str, arg(metavar="{recorded,auto,METRES}")] = "recorded"
+    ego_only: bool = False
+    frames: int | None = None
+    engine: Engine = "fused"
+    device: Device = "cpu"
 
 
 class Sharing(Disturbed, frozen=True, kw_only=True):
