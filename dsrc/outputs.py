@@ -18,6 +18,8 @@ _MARKS = {
         b"SHA-256 of the drives: `",
         b'"dsrc error model',
         b"Driven by `dsrc drive`",
+        b'author="dsrc-testbed"',
+        b'vendor="dsrc-testbed"',
     ),
     "data_protocol.yaml": (b"testbed:",),
     "conversion.json": (b'"drives"',),

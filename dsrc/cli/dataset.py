@@ -170,7 +170,7 @@ class Render(msgspec.Struct, frozen=True, kw_only=True):
         dsrc dataset render tracks.csv --vehicles 2 --out data/tracks
 
     Attributes:
-        data: a drive, a folder of drives, or a traffic log; or tracks: .csv, .npz, SUMO or CommonRoad .xml.
+        data: a drive, a folder of drives, or a traffic log; or tracks: .csv, .npz, .xosc, SUMO or CommonRoad .xml.
         out: folder of the new drives, which keep their names.
     """
 

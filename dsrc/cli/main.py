@@ -11,7 +11,12 @@ from tyro.conf import Positional
 
 COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     "list": "scenario.ListNames",
-    "scenario": {"list": "scenario.List", "show": "scenario.Show", "import": "scenario.Import"},
+    "scenario": {
+        "list": "scenario.List",
+        "show": "scenario.Show",
+        "import": "scenario.Import",
+        "export": "scenario.Export",
+    },
     "generate": "dataset.Generate",
     "corrupt": "dataset.Corrupt",
     "dataset": {

@@ -13,7 +13,7 @@ from tyro.conf import Positional
 
 from dsrc.cli.progress import made
 from dsrc.cli.toml_files import require_kind
-from dsrc.options.fields import File, Folder, Scenario, choice
+from dsrc.options.fields import File, Folder, Output, Scenario, choice
 from dsrc.tables.table import Table
 
 NAMED = ("lidars", "corruptions", "scenarios", "methods", "recipes", "channels")
@@ -204,3 +204,36 @@ class Import(msgspec.Struct, frozen=True):
 
         folder = import_map(Path(self.map), self.name, self.out)
         made(folder, "a scenario", "generate", folder, "--out", "data")
+
+
+class Export(msgspec.Struct, frozen=True, kw_only=True):
+    """Write one seed of a scenario for other simulators: OpenSCENARIO 1.1, with OpenDRIVE beside it.
+
+    All road users follow their trajectories, with times. Of an encounter it is the draw that `dsrc generate` takes.
+
+    Examples:
+        dsrc scenario export lta_truck --seed 0 --out esmini
+
+    Attributes:
+        scenario: shipped scenario, or path of a scenario.toml.
+        seed: seed of everything random; default: the scenario's.
+        out: folder of NAME_SEED.xosc and NAME_SEED.xodr.
+    """
+
+    scenario: Positional[Scenario]
+    out: Folder
+    seed: int | None = None
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Simulate the traffic and print the files."""
+        from sensors.recording.encounter_check import with_proven_encounter
+        from sim.catalog.load import load_scenario
+        from sim.exchange.export import export
+
+        require_kind("scenario export", self.scenario, "scenario")
+        scenario = load_scenario(self.scenario)
+        seed = scenario.seed if self.seed is None else self.seed
+        if scenario.conflict is not None:
+            scenario = with_proven_encounter(scenario, seed)
+        made(export(scenario, seed, Path(self.out)), "a scenario of OpenSCENARIO and its roads")

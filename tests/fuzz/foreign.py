@@ -28,6 +28,56 @@ FCD = """<fcd-export><timestep time="0.00">
 <vehicle id="a" x="41.73" y="-1.60" angle="90.00" type="suv" speed="14.73" pos="41.73" lane="e_1" slope="0.00"/>
 </timestep></fcd-export>
 """
+CUT_IN = """<OpenSCENARIO><FileHeader revMajor="1" revMinor="1"/>
+<ParameterDeclarations><ParameterDeclaration name="v" parameterType="double" value="15"/></ParameterDeclarations>
+<RoadNetwork><LogicFile filepath="road.xodr"/></RoadNetwork>
+<Entities><ScenarioObject name="a"><Vehicle name="a" vehicleCategory="car"><BoundingBox><Center x="1.4" y="0" z="0.75"/>
+<Dimensions width="1.8" length="4.5" height="1.5"/></BoundingBox></Vehicle></ScenarioObject>
+<ScenarioObject name="b"><Vehicle name="b" vehicleCategory="truck"><BoundingBox><Center x="1.4" y="0" z="0.75"/>
+<Dimensions width="1.8" length="4.5" height="1.5"/></BoundingBox></Vehicle></ScenarioObject></Entities>
+<Storyboard><Init><Actions><Private entityRef="a"><PrivateAction><TeleportAction><Position>
+<LanePosition roadId="7" laneId="-1" s="10" offset="0.1"/></Position></TeleportAction></PrivateAction><PrivateAction>
+<LongitudinalAction><SpeedAction><SpeedActionDynamics dynamicsShape="linear" value="1" dynamicsDimension="time"/>
+<SpeedActionTarget><AbsoluteTargetSpeed value="$v"/></SpeedActionTarget></SpeedAction></LongitudinalAction>
+</PrivateAction></Private><Private entityRef="b"><PrivateAction><TeleportAction><Position>
+<RelativeLanePosition entityRef="a" dLane="-1" ds="12"/></Position></TeleportAction></PrivateAction></Private>
+</Actions></Init><Story name="s"><Act name="s"><ManeuverGroup name="g" maximumExecutionCount="1">
+<Actors selectTriggeringEntities="false"><EntityRef entityRef="a"/></Actors><Maneuver name="m">
+<Event name="e" priority="overwrite"><Action name="x"><PrivateAction><LateralAction><LaneChangeAction>
+<LaneChangeActionDynamics dynamicsShape="sinusoidal" value="1" dynamicsDimension="time"/><LaneChangeTarget>
+<RelativeTargetLane entityRef="a" value="-1"/></LaneChangeTarget></LaneChangeAction></LateralAction></PrivateAction>
+</Action>
+<StartTrigger><ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByValueCondition>
+<SimulationTimeCondition value="0.5" rule="greaterThan"/></ByValueCondition></Condition></ConditionGroup>
+</StartTrigger></Event>
+<Event name="f" priority="overwrite"><Action name="y"><PrivateAction><RoutingAction><FollowTrajectoryAction>
+<TrajectoryRef>
+<Trajectory name="t" closed="false"><Shape><Polyline><Vertex time="0"><Position><WorldPosition x="30" y="0" h="0"/>
+</Position></Vertex><Vertex time="1"><Position><WorldPosition x="40" y="1"/></Position></Vertex></Polyline></Shape>
+</Trajectory></TrajectoryRef><TimeReference><Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>
+</TimeReference>
+<TrajectoryFollowingMode followingMode="position"/></FollowTrajectoryAction></RoutingAction></PrivateAction></Action>
+<StartTrigger><ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByValueCondition>
+<SimulationTimeCondition value="2" rule="greaterThan"/></ByValueCondition></Condition></ConditionGroup></StartTrigger>
+</Event>
+</Maneuver></ManeuverGroup></Act></Story><StopTrigger><ConditionGroup>
+<Condition name="c" delay="0" conditionEdge="none">
+<ByValueCondition><SimulationTimeCondition value="4" rule="greaterThan"/></ByValueCondition></Condition>
+</ConditionGroup>
+</StopTrigger></Storyboard></OpenSCENARIO>
+"""
+ROAD = """<OpenDRIVE><header revMajor="1" revMinor="4"/><road id="7" length="150" junction="-1"><planView>
+<geometry s="0" x="0" y="0" hdg="0" length="50"><line/></geometry>
+<geometry s="50" x="50" y="0" hdg="0" length="40"><spiral curvStart="0" curvEnd="0.01"/></geometry>
+<geometry s="90" x="89.8" y="2.6" hdg="0.2" length="40"><arc curvature="0.01"/></geometry>
+<geometry s="130" x="124" y="22" hdg="0.6" length="20">
+<paramPoly3 pRange="normalized" aU="0" bU="20" cU="0" dU="0" aV="0" bV="0" cV="1" dV="0"/></geometry></planView>
+<elevationProfile><elevation s="0" a="1" b="0.01" c="0" d="0"/></elevationProfile><lanes>
+<laneOffset s="0" a="0.5" b="0" c="0" d="0"/><laneSection s="0"><center><lane id="0" type="none"/></center><right>
+<lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
+<lane id="-2" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane></right></laneSection></lanes></road>
+</OpenDRIVE>
+"""
 CALIBRATION = "R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\n"
 
 
@@ -129,6 +179,12 @@ def _tracks(root: Path) -> list[Target]:
     }
     tables[interaction.with_name("pedestrian_tracks_000.csv")] = interaction
     tables[types] = fcd
+    cut_in = root / "asam" / "cut_in.xosc"
+    cut_in.parent.mkdir()
+    cut_in.write_text(CUT_IN)
+    roads = cut_in.with_name("road.xodr")
+    roads.write_text(ROAD)
+    tables |= {cut_in: cut_in, roads: cut_in}
 
     def recorded(path: Path) -> Callable[[Path], object]:
         return lambda _: record_tracks(path, root / f"of{path.suffix}")

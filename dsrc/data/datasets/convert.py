@@ -28,7 +28,7 @@ from dsrc.data.formats.opv2v.reader import (
     with_clouds,
     write_frame,
 )
-from dsrc.data.formats.osi import OsiTraces
+from dsrc.data.formats.osi.traces import OsiTraces
 from dsrc.data.jsonio import encode_json, read_json
 from dsrc.options.drives import ConvertOptions
 from dsrc.options.fields import takes_fields

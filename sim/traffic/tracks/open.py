@@ -11,6 +11,7 @@ from sim.traffic.tracks.commonroad import read_commonroad
 from sim.traffic.tracks.drones import HIGHD, IND, read_highd, read_ind
 from sim.traffic.tracks.fcd import read_fcd
 from sim.traffic.tracks.interaction import SIGNATURE, read_interaction
+from sim.traffic.tracks.openscenario import read_openscenario
 from sim.traffic.tracks.table import read_table
 from sim.traffic.tracks.xml_file import read_xml_bytes, root_tag
 
@@ -21,7 +22,11 @@ _BY_COLUMNS: tuple[tuple[frozenset[str], Reader], ...] = (
     (IND, read_ind),
     (HIGHD, read_highd),
 )
-_BY_ROOT: dict[str, Reader] = {"commonRoad": read_commonroad, "fcd-export": read_fcd}
+_BY_ROOT: dict[str, Reader] = {
+    "commonRoad": read_commonroad,
+    "fcd-export": read_fcd,
+    "OpenSCENARIO": read_openscenario,
+}
 
 
 def _read_csv(path: Path) -> tuple[Recording, ...]:
@@ -36,7 +41,13 @@ def _read_xml(path: Path) -> tuple[Recording, ...]:
     return _BY_ROOT[root](path)
 
 
-READERS: dict[str, Reader] = {".csv": _read_csv, ".npz": read_track_arrays, ".xml": _read_xml, ".gz": _read_xml}
+READERS: dict[str, Reader] = {
+    ".csv": _read_csv,
+    ".npz": read_track_arrays,
+    ".xml": _read_xml,
+    ".gz": _read_xml,
+    ".xosc": _read_xml,
+}
 """Readers by the ending of a file."""
 
 

@@ -183,7 +183,7 @@ def test_a_heading_across_the_motion_is_named(
         ("a.npz", "no archive", "track file"),
         ("a.xml", "<commonRoad", "root: expected <commonRoad>"),
         ("a.xml", '<commonRoad commonRoadVersion="2017a"/>', "<commonRoad> of version 2018b or 2020a, found <comm"),
-        ("a.xml", "<osm/>", "root: expected <commonRoad> or <fcd-export>, found <osm>"),
+        ("a.xml", "<osm/>", "root: expected <commonRoad> or <fcd-export> or <OpenSCENARIO>, found <osm>"),
         ("a.xml", '<commonRoad commonRoadVersion="2020a"/>', "timeStepSize: expected a number"),
         (
             "a.xml",

@@ -1,24 +1,18 @@
-"""OSI traces of drives: ground truth, and per agent a sensor view and the objects that its LiDAR meets.
+"""Messages of a frame: ground truth, and per agent a sensor view and the objects that its LiDAR meets.
 
     ground_truth        GroundTruth    all road users in the world
     sensor_view/ID      SensorView     the ground truth, the agent as host, and its LiDAR's mounting
     sensor_data/ID      SensorData     road users with a point of the agent, in the frame of its LiDAR
 
-A drive is one MCAP of these channels, or a binary `.osi` of each, named as the standard says. The origin of a vehicle
-is the middle of its footprint: `bbcenter_to_rear` points there. A roadside unit is no object, so its host is left out
-and its mounting is its pose in the world. OSI's frames and angles are ours: x forward, y left, z up, pitch lowers the
-front.
+The origin of a vehicle is the middle of its footprint: `bbcenter_to_rear` points there. A roadside unit is no object,
+so its host is left out and its mounting is its pose in the world. OSI's frames and angles are ours: x forward, y left,
+z up, pitch lowers the front.
 
-Needs the package `betterosi`: pip install 'dsrc-testbed[osi]'.
-
-Source: ASAM Open Simulation Interface 3.8.0: osi_groundtruth, osi_sensorview, osi_sensordata, osi_detectedobject, and
-its names of trace files.
+Source: ASAM Open Simulation Interface 3.8.0: osi_groundtruth, osi_sensorview, osi_sensordata, osi_detectedobject.
 """
 
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +21,6 @@ from numpy.typing import NDArray
 from sensors.frame import Frame
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
-from sim.files import named, replacing
 from sim.geometry import invert, pose_angles, pose_matrix
 from sim.traffic.base import SIGNALS
 
@@ -40,14 +33,10 @@ _TYPES = {
     "bicycle": "BICYCLE",
 }
 """Types of vehicles by our classes; a pedestrian is an object of its own kind."""
-_EPOCH = "19700101T000000Z"
-_METADATA = {"creation_time": "1970-01-01T00:00:00Z", "description": "drive of dsrc-testbed"}
-"""Of a fixed time, so that a drive gives the same bytes again."""
-_NAMES = {"ground_truth": "gt", "sensor_view": "sv", "sensor_data": "sd"}
-"""Abbreviations of channels in names of binary traces."""
 
 
-def _osi() -> Any:
+def load_osi() -> Any:
+    """Return the package betterosi; SettingsError where it is missing."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -58,64 +47,13 @@ def _osi() -> Any:
     return betterosi
 
 
-class OsiTraces:
-    """Traces of a drive, which appear when they are closed."""
-
-    def __init__(self, path: Path, frames: int) -> None:
-        """Prepare the traces.
-
-        Args:
-            path: an `.mcap`; any other is a folder of `.osi` files, with the drive's name at the end of theirs.
-            frames: of the drive; they stand in the names of the files.
-
-        Raises:
-            SettingsError: the package is missing.
-        """
-        self._osi = _osi()
-        self.path, self._frames = path, frames
-        self._open = ExitStack()
-        self._writers: dict[str, Any] = {}
-
-    def write(self, frame: Frame) -> None:
-        """Append a frame."""
-        with named(self.path):
-            for channel, message in messages_of(frame):
-                self._writer(channel).add(message, **({"topic": channel} if self._packed else {}))
-
-    def close(self) -> None:
-        """Finish the files and move them to their paths."""
-        with named(self.path):
-            self._open.close()
-
-    @property
-    def _packed(self) -> bool:
-        return self.path.suffix == ".mcap"
-
-    def _writer(self, channel: str) -> Any:
-        key = "" if self._packed else channel
-        if key not in self._writers:
-            path = self.path if self._packed else self.path / self._name(channel)
-            temporary = self._open.enter_context(replacing(path))
-            more = {"metadata": _METADATA, "library": "dsrc-testbed"} if self._packed else {}
-            # The package tells the kind of a trace by its ending, which a temporary file does not have.
-            ending = temporary.with_name(f"{temporary.name}{path.suffix}")
-            self._writers[key] = self._open.enter_context(self._osi.Writer(ending, **more))
-            ending.replace(temporary)
-        return self._writers[key]
-
-    def _name(self, channel: str) -> str:
-        kind, _, agent = channel.partition("/")
-        drive = self.path.name if not agent else f"{self.path.name}-agent-{agent}"
-        return f"{_EPOCH}_{_NAMES[kind]}_380_700_{self._frames}_{drive}.osi"
-
-
 def messages_of(frame: Frame) -> Iterator[tuple[str, Any]]:
     """Yield the messages of a frame with the names of their channels.
 
     Raises:
         SettingsError: the package is missing.
     """
-    osi = _osi()
+    osi = load_osi()
     truth = osi.GroundTruth(
         **_head(frame), moving_object=[_object(frame, row) for row in range(len(frame.truth))], **_host(frame, 0)
     )
@@ -139,7 +77,7 @@ def messages_of(frame: Frame) -> Iterator[tuple[str, Any]]:
 
 
 def _head(frame: Frame) -> dict[str, Any]:
-    osi = _osi()
+    osi = load_osi()
     seconds, nanos = divmod(round(frame.time_s * 1e9), 10**9)
     return {
         "version": osi.InterfaceVersion(version_major=3, version_minor=8, version_patch=0),
@@ -150,21 +88,21 @@ def _head(frame: Frame) -> dict[str, Any]:
 def _host(frame: Frame, row: int) -> dict[str, Any]:
     """Return the field of the host vehicle, where the agent is one."""
     agent_id = frame.agents[row].agent_id if frame.agents else -1
-    return {} if agent_id < 0 else {"host_vehicle_id": _osi().Identifier(value=agent_id)}
+    return {} if agent_id < 0 else {"host_vehicle_id": load_osi().Identifier(value=agent_id)}
 
 
 def _vector(xyz: NDArray[np.float64]) -> Any:
-    return _osi().Vector3D(**dict(zip("xyz", map(float, xyz), strict=True)))
+    return load_osi().Vector3D(**dict(zip("xyz", map(float, xyz), strict=True)))
 
 
 def _turn(pose: NDArray[np.float64]) -> Any:
     yaw, pitch, roll = map(float, pose_angles(pose))
-    return _osi().Orientation3D(roll=roll, pitch=pitch, yaw=yaw)
+    return load_osi().Orientation3D(roll=roll, pitch=pitch, yaw=yaw)
 
 
 def _base(pose: NDArray[np.float64], size: NDArray[np.float64], motion: dict[str, NDArray[np.float64]]) -> Any:
     """Return pose, size and those of the vectors of motion that are known."""
-    osi = _osi()
+    osi = load_osi()
     length, width, height = map(float, size)
     return osi.BaseMoving(
         dimension=osi.Dimension3D(length=length, width=width, height=height),
@@ -176,7 +114,7 @@ def _base(pose: NDArray[np.float64], size: NDArray[np.float64], motion: dict[str
 
 def _kind(frame: Frame, row: int) -> dict[str, Any]:
     """Return type and classification of an object; lights that are off may also be unknown, and are left out."""
-    kinds = _osi().MovingObject
+    kinds = load_osi().MovingObject
     name = CLASSES[frame.truth.label[row]]
     if name == "pedestrian":
         return {"type": kinds.Type.PEDESTRIAN}
@@ -195,7 +133,7 @@ def _kind(frame: Frame, row: int) -> dict[str, Any]:
 
 
 def _object(frame: Frame, row: int) -> Any:
-    osi, boxes = _osi(), frame.truth
+    osi, boxes = load_osi(), frame.truth
     kind = _kind(frame, row)
     if "vehicle_classification" in kind:
         down = np.array([0.0, 0.0, -0.5 * boxes.size[row, 2]])
@@ -209,7 +147,7 @@ def _object(frame: Frame, row: int) -> Any:
 
 
 def _mounting(frame: Frame, row: int) -> Any:
-    osi, agent = _osi(), frame.agents[row]
+    osi, agent = load_osi(), frame.agents[row]
     pose = agent.sweep.world_from_lidar
     if agent.agent_id >= 0:
         pose = invert(agent.world_from_body) @ pose
@@ -218,7 +156,7 @@ def _mounting(frame: Frame, row: int) -> Any:
 
 def _detected(frame: Frame, row: int, other: int) -> Any:
     """Return an object as an agent's LiDAR meets it: pose in the LiDAR's frame, motion relative to its vehicle's."""
-    osi, boxes, agent = _osi(), frame.truth, frame.agents[row]
+    osi, boxes, agent = load_osi(), frame.truth, frame.agents[row]
     lidar_from_world = invert(agent.sweep.world_from_lidar)
     pose = lidar_from_world @ pose_matrix(boxes.center[other], boxes.yaw[other])
     own = np.flatnonzero(boxes.object_id == agent.agent_id)

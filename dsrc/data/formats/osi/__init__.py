@@ -1,0 +1,1 @@
+"""ASAM OSI: messages of frames, and the traces that hold them."""

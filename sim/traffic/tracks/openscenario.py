@@ -1,0 +1,491 @@
+"""Tracks of an OpenSCENARIO: the storyboard played by time, on the lanes of its OpenDRIVE file.
+
+Played are teleports, speeds, lane changes, trajectories of vertices, and road users that come and leave; they begin at
+times. What needs anything else (other conditions, routes, catalogs) is refused by its name. On a lane road users keep
+to it with their speed; off the lanes they go straight on. They do not react to each other.
+
+Source: ASAM OpenSCENARIO XML 1.0 to 1.3: a reference point is the origin of an entity's axes, in which its bounding box
+has a centre; a polyline is interpolated between its vertices; the shapes of transitions.
+"""
+
+import logging
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import DataError, complaint
+from sim.reading import parsing
+from sim.roads.opendrive import LanePlace, OpenDrive
+from sim.traffic.tracks.base import Recording, Track, make_track
+from sim.traffic.tracks.xml_file import number_of, read_xml_bytes
+
+STEP_S = 0.05
+LONGEST_S = 600.0
+_AFTER_S = 5.0
+"""Time played after the last action of a storyboard without a stop at a time."""
+_CLASSES = {
+    **{name: name for name in ("car", "van", "truck", "bus", "bicycle", "pedestrian")},
+    **{"motorbike": "motorcycle", "semitrailer": "truck", "trailer": "truck", "wheelchair": "pedestrian"},
+}
+_IGNORED = (
+    "ControllerAction",
+    "ActivateControllerAction",
+    "VisibilityAction",
+    "AppearanceAction",
+    "EnvironmentAction",
+)
+"""Actions that change no motion."""
+_SHAPES: dict[str, Callable[[float], float]] = {
+    "linear": lambda u: u,
+    "cubic": lambda u: u * u * (3.0 - 2.0 * u),
+    "sinusoidal": lambda u: 0.5 - 0.5 * math.cos(math.pi * u),
+    "step": lambda u: 1.0,
+}
+
+_log = logging.getLogger(__name__)
+
+
+class _Pose(NamedTuple):
+    x: float
+    y: float
+    z: float
+    heading: float
+
+
+@dataclass
+class _Change:
+    """Transition of a speed or of a place across the lanes: from where, to where, since when, over which length."""
+
+    start: float
+    end: float
+    shape: Callable[[float], float]
+    length: float
+    by_distance: bool
+    done: float = 0.0
+
+    def step(self, time_s: float, way_m: float) -> float:
+        """Go on and return the new value."""
+        self.done += way_m if self.by_distance else time_s
+        share = 1.0 if self.length <= 0.0 else min(self.done / self.length, 1.0)
+        return self.start + (self.end - self.start) * self.shape(share)
+
+    @property
+    def over(self) -> bool:
+        return self.done >= self.length
+
+
+@dataclass
+class _User:
+    """Road user: box in its own axes, and its state while the storyboard is played."""
+
+    class_name: str
+    size: tuple[float, float, float]
+    middle: tuple[float, float, float]
+    pose: _Pose | None = None
+    lane: LanePlace | None = None
+    speed: float = 0.0
+    speeding: _Change | None = None
+    shifting: _Change | None = None
+    follow: "_Polyline | None" = None
+    followed: float = 0.0
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Polyline:
+    """(K, 5) rows of x, y, z, heading, and time or way; `timed` says which."""
+
+    rows: NDArray[np.float64]
+    timed: bool
+
+    def at(self, value: float) -> _Pose:
+        """Return the pose at a time or after a way; before and after it is that of the ends."""
+        key = self.rows[:, 4]
+        x, y, z, heading = (float(np.interp(value, key, column)) for column in self.rows[:, :4].T)
+        return _Pose(x, y, z, heading)
+
+
+class _Action(NamedTuple):
+    """Action of one entity at a time; an empty entity is the world."""
+
+    time_s: float
+    entity: str
+    element: ET.Element
+
+
+def read_openscenario(path: Path) -> tuple[Recording, ...]:
+    """Read an .xosc, with the .xodr that it names.
+
+    Raises:
+        DataError: no OpenSCENARIO of version 1, a value is missing or wrong, or it uses what is not played; names it.
+    """
+    with parsing(path, "OpenSCENARIO file"):
+        root = ET.fromstring(read_xml_bytes(path, "OpenSCENARIO file"))
+        if root.tag != "OpenSCENARIO" or root.find("Storyboard") is None:
+            raise DataError(complaint(path, "root", "<OpenSCENARIO> with a storyboard", f"<{root.tag}>"))
+        return (_Player(path, root).play(),)
+
+
+class _Player:
+    """A storyboard, played once."""
+
+    def __init__(self, path: Path, root: ET.Element) -> None:
+        self.path, self._root = path, root
+        self._parameters = {
+            one.get("name", ""): one.get("value", "")
+            for one in root.findall("ParameterDeclarations/ParameterDeclaration")
+        }
+        logic = root.find("RoadNetwork/LogicFile")
+        roads = "" if logic is None else self._text(logic, "filepath", "")
+        self._roads = OpenDrive(path.parent / roads) if roads else None
+        self.users = {name: user for name, user in self._entities() if user is not None}
+
+    def play(self) -> Recording:
+        """Return the tracks of all road users."""
+        board = self._root.find("Storyboard")
+        assert board is not None
+        for private in board.findall("Init/Actions/Private"):
+            for action in private.findall("PrivateAction"):
+                self._act(0.0, self._text(private, "entityRef"), action)
+        actions = sorted(self._storyboard(board), key=lambda one: one.time_s)
+        end = self._end(board, actions)
+        if not 0.0 < end <= LONGEST_S:
+            raise DataError(complaint(self.path, "StopTrigger", f"a time in (0, {LONGEST_S:g}] s", f"{end:g}"))
+        row = 0
+        for step in range(math.floor(end / STEP_S + 1e-6) + 1):
+            time_s = step * STEP_S
+            for user in self.users.values():
+                if step and user.pose is not None:
+                    self._move(user, time_s)
+            while row < len(actions) and actions[row].time_s <= time_s + 1e-9:
+                self._act(actions[row].time_s, actions[row].entity, actions[row].element)
+                row += 1
+            for user in self.users.values():
+                if user.pose is not None:
+                    user.rows.append((time_s, *user.pose))
+        outlines = () if self._roads is None else tuple(self._roads.outlines())
+        return Recording(tuple(self._track(name, user) for name, user in self.users.items() if user.rows), outlines)
+
+    def _track(self, name: str, user: _User) -> Track:
+        time_s, x, y, z, heading = np.array(user.rows, np.float64).T
+        cos, sin, (ahead, left, up) = np.cos(heading), np.sin(heading), user.middle
+        center = np.column_stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left, z + up])
+        return make_track(self.path, name, user.class_name, user.size, time_s, center, heading)
+
+    def _entities(self) -> Iterator[tuple[str, _User | None]]:
+        for one in self._root.findall("Entities/ScenarioObject"):
+            name = self._text(one, "name")
+            body = next((part for tag in ("Vehicle", "Pedestrian") if (part := one.find(tag)) is not None), None)
+            if body is None:
+                if one.find("MiscObject") is None:
+                    found = ", ".join(part.tag for part in one) or "nothing"
+                    raise DataError(complaint(self.path, f"entity '{name}'", "a Vehicle or a Pedestrian", found))
+                _log.warning("%s: entity '%s': a MiscObject is no road user: it is left out", self.path, name)
+                yield name, None
+                continue
+            kind = self._text(body, "vehicleCategory" if body.tag == "Vehicle" else "pedestrianCategory")
+            if kind not in _CLASSES:
+                _log.warning("%s: entity '%s': %s is no road user: it is left out", self.path, name, kind)
+                yield name, None
+                continue
+            center, size = (body.find(f"BoundingBox/{tag}") for tag in ("Center", "Dimensions"))
+            if center is None or size is None:
+                raise DataError(complaint(self.path, f"entity '{name}'", "a BoundingBox", "none"))
+            length, width, height = (self._number(size, key) for key in ("length", "width", "height"))
+            x, y, z = (self._number(center, key) for key in "xyz")
+            yield name, _User(_CLASSES[kind], (length, width, height), (x, y, z))
+
+    def _storyboard(self, board: ET.Element) -> Iterator[_Action]:
+        for act in board.findall("Story/Act"):
+            opens = self._time(act.find("StartTrigger"), "act")
+            for group in act.findall("ManeuverGroup"):
+                names = [self._text(one, "entityRef") for one in group.findall("Actors/EntityRef")]
+                for event in group.findall("Maneuver/Event"):
+                    begins = max(opens, self._time(event.find("StartTrigger"), f"event '{event.get('name')}'"))
+                    for action in event.findall("Action/PrivateAction"):
+                        yield from (_Action(begins, name, action) for name in names)
+                    for action in event.findall("Action/GlobalAction"):
+                        yield _Action(begins, "", action)
+                if group.find("CatalogReference") is not None:
+                    raise DataError(complaint(self.path, "ManeuverGroup", "maneuvers", "a CatalogReference"))
+
+    def _time(self, trigger: ET.Element | None, what: str) -> float:
+        """Return when a trigger by time fires; one that is missing or empty fires at once."""
+        times = []
+        for one in [] if trigger is None else trigger.iter("Condition"):
+            condition = one.find("ByValueCondition/SimulationTimeCondition")
+            rule = "" if condition is None else self._text(condition, "rule")
+            if condition is None or rule not in ("greaterThan", "greaterOrEqual", "equalTo"):
+                found = next(
+                    (part.tag for part in one.iter() if part.tag.endswith("Condition") and not len(part)), rule
+                )
+                expected = "a SimulationTimeCondition that is passed"
+                raise DataError(complaint(self.path, f"StartTrigger of {what}", expected, found or "another"))
+            times.append(self._number(condition, "value") + self._number(one, "delay", 0.0))
+        return max(times, default=0.0)
+
+    def _end(self, board: ET.Element, actions: list[_Action]) -> float:
+        stops = [
+            self._number(one, "value")
+            for one in board.findall("StopTrigger/ConditionGroup/Condition/ByValueCondition/SimulationTimeCondition")
+        ]
+        if stops:
+            return min(stops)
+        ends = [_AFTER_S]
+        for action in actions:
+            length = [self._number(one, "value", 0.0) for one in action.element.iter() if one.tag.endswith("Dynamics")]
+            times = [self._number(one, "time", 0.0) for one in action.element.iter("Vertex")]
+            ends.append(action.time_s + max([*length, *times, 0.0]) + _AFTER_S)
+        return min(max(ends), LONGEST_S)
+
+    def _act(self, time_s: float, name: str, action: ET.Element) -> None:
+        """Begin an action."""
+        kind = action.find(".//*[@entityRef]") if action.tag == "GlobalAction" else None
+        if kind is not None and kind.tag == "EntityAction":
+            self._come_or_leave(self._text(kind, "entityRef"), kind)
+            return
+        if any(action.find(f".//{tag}") is not None or action.tag == tag for tag in _IGNORED):
+            _log.warning("%s: an action without motion is left out", self.path)
+            return
+        if name not in self.users:
+            if name and self._root.find(f"Entities/ScenarioObject[@name='{name}']") is not None:
+                return  # left out
+            raise DataError(complaint(self.path, "entityRef", "a road user", name or action.tag))
+        user = self.users[name]
+        begin = {
+            "TeleportAction": self._teleport,
+            "SpeedAction": self._speed,
+            "LaneChangeAction": self._change_lane,
+            "FollowTrajectoryAction": self._follow,
+        }
+        for tag, method in begin.items():
+            if (found := action.find(f".//{tag}")) is not None:
+                method(user, time_s, found)
+                return
+        found = next((one for one in action.iter() if one.tag.endswith("Action") and one is not action), action)
+        inner = next((one for one in found if one.tag.endswith("Action")), found)
+        raise DataError(complaint(self.path, f"entity '{name}'", f"one of {', '.join(begin)}", inner.tag))
+
+    def _come_or_leave(self, name: str, action: ET.Element) -> None:
+        user = self.users.get(name)
+        if user is None:
+            return
+        if action.find("DeleteEntityAction") is not None:
+            user.pose = user.lane = None
+        else:
+            self._put(user, action.find("AddEntityAction/Position"))
+
+    def _teleport(self, user: _User, time_s: float, action: ET.Element) -> None:
+        self._put(user, action.find("Position"))
+
+    def _put(self, user: _User, position: ET.Element | None) -> None:
+        user.pose, user.lane = self._place(position)
+        user.follow = user.shifting = None
+
+    def _speed(self, user: _User, time_s: float, action: ET.Element) -> None:
+        absolute, relative = (action.find(f"SpeedActionTarget/{tag}") for tag in _TARGETS)
+        if absolute is not None:
+            wanted = self._number(absolute, "value")
+        elif relative is not None:
+            of, value = self._user(relative).speed, self._number(relative, "value")
+            wanted = of * value if self._text(relative, "speedTargetValueType", "delta") == "factor" else of + value
+        else:
+            raise DataError(complaint(self.path, "SpeedActionTarget", " or ".join(_TARGETS), "none"))
+        dynamics = action.find("SpeedActionDynamics")
+        user.speeding = self._transition(dynamics, user.speed, wanted)
+        if user.speeding.over:
+            user.speed, user.speeding = wanted, None
+
+    def _change_lane(self, user: _User, time_s: float, action: ET.Element) -> None:
+        lane = self._lane_of(user)
+        if lane is None or self._roads is None:
+            raise DataError(
+                complaint(self.path, "LaneChangeAction", "a vehicle on a lane of an OpenDRIVE file", "none")
+            )
+        absolute, relative = (action.find(f"LaneChangeTarget/{tag}TargetLane") for tag in ("Absolute", "Relative"))
+        if absolute is not None:
+            target = round(self._number(absolute, "value"))
+        elif relative is not None:
+            of = self._lane_of(self._user(relative))
+            if of is None:
+                raise DataError(complaint(self.path, "RelativeTargetLane", "a vehicle on a lane", "one off the lanes"))
+            target = _beside(of.lane, round(self._number(relative, "value")))
+        else:
+            raise DataError(complaint(self.path, "LaneChangeTarget", "an absolute or relative lane", "none"))
+        road = self._roads.roads[lane.road]
+        now, then = road.middle(lane.lane, lane.s), road.middle(target, lane.s)
+        if now is None or then is None:
+            raise DataError(complaint(self.path, "LaneChangeTarget", f"a lane of road {lane.road}", target))
+        offset = self._number(action, "targetLaneOffset", 0.0)
+        user.lane = lane._replace(lane=target, offset=now + lane.offset - then)
+        dynamics = action.find("LaneChangeActionDynamics")
+        user.shifting = self._transition(dynamics, user.lane.offset, offset)
+
+    def _follow(self, user: _User, time_s: float, action: ET.Element) -> None:
+        trajectory = next(action.iter("Trajectory"), None)
+        vertices = [] if trajectory is None else trajectory.findall("Shape/Polyline/Vertex")
+        if len(vertices) < 2:
+            shape = None if trajectory is None else trajectory.find("Shape/*")
+            found = "none" if shape is None else shape.tag
+            raise DataError(complaint(self.path, "FollowTrajectoryAction", "a Polyline of two vertices or more", found))
+        places = np.array([self._place(one.find("Position"))[0] for one in vertices], np.float64)
+        given = all(one.find("Position/WorldPosition[@h]") is not None for one in vertices)
+        ways = np.diff(places[:, :2], axis=0)
+        if not given:
+            headings = np.arctan2(ways[:, 1], ways[:, 0])
+            places[:, 3] = np.append(headings, headings[-1])
+        places[:, 3] = np.unwrap(places[:, 3])
+        timing = action.find("TimeReference/Timing")
+        if timing is not None:
+            key = np.array([self._number(one, "time") for one in vertices])
+            key = key * self._number(timing, "scale", 1.0) + self._number(timing, "offset", 0.0)
+            if self._text(timing, "domainAbsoluteRelative") == "relative":
+                key = key + time_s
+        else:
+            key = np.concatenate([[0.0], np.cumsum(np.hypot(*ways.T))])
+        if (np.diff(key) < 0.0).any():
+            raise DataError(complaint(self.path, "Vertex", "times that ascend", "one before another"))
+        user.follow, user.followed = _Polyline(np.column_stack([places, key]), timing is not None), 0.0
+        user.lane = user.shifting = None
+
+    def _transition(self, dynamics: ET.Element | None, start: float, end: float) -> _Change:
+        if dynamics is None:
+            raise DataError(complaint(self.path, "action", "its dynamics", "none"))
+        name, value = self._text(dynamics, "dynamicsShape"), self._number(dynamics, "value", 0.0)
+        if name not in _SHAPES:
+            raise DataError(complaint(self.path, "dynamicsShape", " or ".join(_SHAPES), name))
+        dimension = self._text(dynamics, "dynamicsDimension", "time")
+        if name == "step":
+            value = 0.0
+        elif dimension == "rate":
+            value = abs(end - start) / value if value > 0.0 else 0.0
+        return _Change(start, end, _SHAPES[name], value, dimension == "distance")
+
+    def _move(self, user: _User, time_s: float) -> None:
+        """Move a road user by a step, up to a time."""
+        way_m = user.speed * STEP_S
+        if user.speeding is not None:
+            before = user.speed
+            user.speed = user.speeding.step(STEP_S, way_m)
+            way_m = 0.5 * (before + user.speed) * STEP_S
+            user.speeding = None if user.speeding.over else user.speeding
+        if user.follow is not None:
+            user.followed += way_m
+            before_pose = user.pose
+            user.pose = user.follow.at(time_s if user.follow.timed else user.followed)
+            if user.follow.timed and before_pose is not None:
+                user.speed = math.hypot(user.pose.x - before_pose.x, user.pose.y - before_pose.y) / STEP_S
+        elif user.lane is not None:
+            self._drive(user, way_m)
+        elif user.pose is not None:
+            x, y, z, heading = user.pose
+            user.pose = _Pose(x + way_m * math.cos(heading), y + way_m * math.sin(heading), z, heading)
+
+    def _drive(self, user: _User, way_m: float) -> None:
+        """Move along a lane, across it in a lane change, and on to the next road."""
+        assert user.lane is not None
+        assert self._roads is not None
+        lane, road = user.lane, self._roads.roads[user.lane.road]
+        before = self._roads.place("lane", lane)
+        turn = 0.0
+        if user.shifting is not None:
+            side = lane.offset
+            lane = lane._replace(offset=user.shifting.step(STEP_S, way_m))
+            left = (lane.offset - side) * (1.0 if lane.lane < 0 else -1.0)
+            turn = math.atan2(left, way_m) if way_m > 1e-6 else 0.0
+            user.shifting = None if user.shifting.over else user.shifting
+        ahead = 1.0 if lane.lane < 0 else -1.0
+        probe = min(max(lane.s + ahead * 0.5, 0.0), road.length)
+        there = road.middle(lane.lane, probe)
+        scale = 1.0
+        if there is not None and abs(probe - lane.s) > 1e-3:
+            x, y, _, _ = road.at(probe, there + lane.offset)
+            here = self._roads.place("lane", lane)
+            scale = max(math.hypot(x - here[0], y - here[1]) / abs(probe - lane.s), 0.1)
+        s = lane.s + ahead * way_m * math.cos(turn) / scale
+        if 0.0 <= s <= road.length and road.middle(lane.lane, s) is not None:
+            user.lane = lane._replace(s=s)
+            x, y, z, heading = self._roads.place("lane", user.lane)
+            user.pose = _Pose(x, y, z, heading + turn)
+            return
+        x, y, z, heading = before
+        x, y = x + way_m * math.cos(heading), y + way_m * math.sin(heading)
+        user.lane = self._roads.nearest(x + 0.5 * math.cos(heading), y + 0.5 * math.sin(heading))
+        user.pose = _Pose(x, y, z, heading)
+        user.shifting = None
+        if user.lane is None:
+            _log.warning("%s: a road user leaves the roads at %.1f, %.1f and goes straight on", self.path, x, y)
+
+    def _lane_of(self, user: _User) -> LanePlace | None:
+        if user.lane is None and user.pose is not None and self._roads is not None:
+            user.lane = self._roads.nearest(user.pose.x, user.pose.y)
+        return user.lane
+
+    def _user(self, element: ET.Element) -> _User:
+        name = self._text(element, "entityRef")
+        if name not in self.users:
+            raise DataError(complaint(self.path, "entityRef", "a road user", name))
+        return self.users[name]
+
+    def _place(self, position: ET.Element | None) -> tuple[_Pose, LanePlace | None]:
+        """Return the pose of a position, and its lane where it names one."""
+        one = None if position is None else next(iter(position), None)
+        if one is None:
+            raise DataError(complaint(self.path, "Position", "a place", "none"))
+        if one.tag == "WorldPosition":
+            x, y, z, heading = (self._number(one, key, 0.0 if key in "zh" else None) for key in "xyzh")
+            return _Pose(x, y, z, heading), None
+        if one.tag == "LanePosition":
+            lane = LanePlace(
+                self._text(one, "roadId"),
+                round(self._number(one, "laneId")),
+                self._number(one, "s"),
+                self._number(one, "offset", 0.0),
+            )
+        elif one.tag == "RelativeLanePosition":
+            of = self._lane_of(self._user(one))
+            if of is None:
+                raise DataError(complaint(self.path, one.tag, "a road user on a lane", "one off the lanes"))
+            ahead = self._number(one, "ds", 0.0) * (1.0 if of.lane < 0 else -1.0)
+            beside = _beside(of.lane, round(self._number(one, "dLane")))
+            lane = LanePlace(of.road, beside, of.s + ahead, self._number(one, "offset", 0.0))
+        else:
+            expected = "a WorldPosition, LanePosition or RelativeLanePosition"
+            raise DataError(complaint(self.path, "Position", expected, one.tag))
+        if self._roads is None:
+            raise DataError(complaint(self.path, one.tag, "a LogicFile of OpenDRIVE", "none"))
+        x, y, z, heading = self._roads.place(one.tag, lane)
+        turned = one.find("Orientation")
+        if turned is not None and turned.get("h") is not None:
+            h = self._number(turned, "h")
+            heading = heading + h if self._text(turned, "type", "absolute") == "relative" else h
+        return _Pose(x, y, z, heading), lane
+
+    def _text(self, element: ET.Element, name: str, usual: str | None = None) -> str:
+        text = element.get(name, usual)
+        if text is not None and text.startswith("$"):
+            text = self._parameters.get(text[1:])
+        if text is None:
+            raise DataError(complaint(self.path, f"{element.tag}: {name}", "a value", element.get(name) or "nothing"))
+        return text
+
+    def _number(self, element: ET.Element, name: str, usual: float | None = None) -> float:
+        text = self._text(element, name, None if usual is None else repr(usual))
+        return number_of(self.path, f"{element.tag}: {name}", text)
+
+
+_TARGETS = ("AbsoluteTargetSpeed", "RelativeTargetSpeed")
+
+
+def _beside(lane: int, left: int) -> int:
+    """Return the lane so many to the left of another, as its traffic sees it; there is no lane 0."""
+    target = lane + (left if lane < 0 else -left)
+    if target * lane <= 0 and left:
+        target += 1 if lane < 0 else -1
+    return target
