@@ -216,19 +216,23 @@ class _Player:
                     raise DataError(complaint(self.path, "ManeuverGroup", "maneuvers", "a CatalogReference"))
 
     def _time(self, trigger: ET.Element | None, what: str) -> float:
-        """Return when a trigger by time fires; one that is missing or empty fires at once."""
-        times = []
-        for one in [] if trigger is None else trigger.iter("Condition"):
-            condition = one.find("ByValueCondition/SimulationTimeCondition")
-            rule = "" if condition is None else self._text(condition, "rule")
-            if condition is None or rule not in ("greaterThan", "greaterOrEqual", "equalTo"):
-                found = next(
-                    (part.tag for part in one.iter() if part.tag.endswith("Condition") and not len(part)), rule
-                )
-                expected = "a SimulationTimeCondition that is passed"
-                raise DataError(complaint(self.path, f"StartTrigger of {what}", expected, found or "another"))
-            times.append(self._number(condition, "value") + self._number(one, "delay", 0.0))
-        return max(times, default=0.0)
+        """Return when a trigger by time fires: with the first of its groups, each with the last of its conditions.
+
+        One that is missing or empty fires at once.
+        """
+        groups = [] if trigger is None else trigger.findall("ConditionGroup")
+        times = [max((self._passed(one, what) for one in group.findall("Condition")), default=0.0) for group in groups]
+        return min(times, default=0.0)
+
+    def _passed(self, one: ET.Element, what: str) -> float:
+        """Return when a condition is met."""
+        condition = one.find("ByValueCondition/SimulationTimeCondition")
+        rule = "" if condition is None else self._text(condition, "rule")
+        if condition is None or rule not in ("greaterThan", "greaterOrEqual", "equalTo"):
+            found = next((part.tag for part in one.iter() if part.tag.endswith("Condition") and not len(part)), rule)
+            expected = "a SimulationTimeCondition that is passed"
+            raise DataError(complaint(self.path, f"StartTrigger of {what}", expected, found or "another"))
+        return self._number(condition, "value") + self._number(one, "delay", 0.0)
 
     def _end(self, board: ET.Element, actions: list[_Action]) -> float:
         stops = [

@@ -41,6 +41,11 @@ def vehicle(name: str, kind: Any = xosc.VehicleCategory.car) -> Any:
     return xosc.Vehicle(name, kind, box, *axles, 60, 10, 10)
 
 
+def near(distance_m: float) -> Any:
+    condition = xosc.TimeHeadwayCondition("a", distance_m, xosc.Rule.lessThan)
+    return xosc.EntityTrigger("near", 0, xosc.ConditionEdge.none, condition, "a")
+
+
 def at(time_s: float, point: str = "start") -> Any:
     condition = xosc.SimulationTimeCondition(time_s, xosc.Rule.greaterThan)
     return xosc.ValueTrigger("time", 0, xosc.ConditionEdge.none, condition, triggeringpoint=point)
@@ -184,5 +189,17 @@ def test_what_is_not_played_is_named(tmp_path: Path) -> None:
     refused(
         {"a": [place]}, [("a", 1.0, xosc.AcquirePositionAction(xosc.WorldPosition()))], "found AcquirePositionAction"
     )
+    story = xosc.StoryBoard(xosc.Init(), at(5.0, "stop"))
+    event = xosc.Event("cut in", xosc.Priority.parallel)
+    event.add_trigger(near(2.0))
+    event.add_action("go", step_speed(3))
+    maneuver = xosc.Maneuver("m")
+    maneuver.add_event(event)
+    story.add_maneuver(maneuver, "a")
+    entities = xosc.Entities().add_scenario_object("a", vehicle("a"))
+    roads = xosc.RoadNetwork(roadfile="road.xodr")
+    xosc.Scenario("s", "a", xosc.ParameterDeclarations(), entities, story, roads, xosc.Catalog()).write_xml(str(path))
+    with pytest.raises(DataError, match="StartTrigger of event 'cut in'.*found TimeHeadwayCondition"):
+        read_tracks(path)
     (tmp_path / "road.xodr").unlink()
     refused({"a": [place]}, [], "file not found")
