@@ -89,8 +89,8 @@ def score(
         sets = read_detections(Path(detections), tree, corruption)
     else:
         where = "detections"
-        for i, found in enumerate(detections):
-            check_radians(where, f"frame {i}", found.boxes.yaw)
+        for i, given in enumerate(detections):
+            check_radians(where, f"frame {i}", given.boxes.yaw)
         sets = [DetectionSet(where, {FrameKey("", i): found for i, found in enumerate(detections)})]
     known: Mapping[FrameKey, Truth] | None = None
     if tree is not None:
