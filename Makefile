@@ -19,7 +19,7 @@ test: $(READY)
 
 # Tests of optional packages: ONNX, Ray, MCAP, stable-baselines3.
 test-extras: $(READY)
-	$(INSTALL) --editable '.[dev,onnx,ray,argoverse,mcap,rl,osi,foreign]'
+	$(INSTALL) --editable '.[dev,onnx,ray,argoverse,ros,mcap,rl,osi,foreign]'
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $$(grep -rl --include 'test_*.py' importorskip tests)
 
 test-slow: $(READY)

@@ -161,13 +161,14 @@ class ConvertOptions(msgspec.Struct, frozen=True):
         data: a drive, or a folder of drives, in any supported format; a split of a DAIR-V2X-C tree is TREE/val.
         out: folder of the new tree.
         to: new format; compact is OPV2V with compact clouds; mcap, for Foxglove, needs the package mcap;
-            osi (.osi traces) and osi-mcap need betterosi.
-        agent_id: agent whose sweeps are written to KITTI and DAIR: ego, all (KITTI) or an id; default: ego.
+            ros2, MCAP of ROS 2 messages, needs rosbags; osi (.osi traces) and osi-mcap need betterosi.
+        agent_id: agent whose sweeps are written to KITTI, nuScenes and DAIR: ego, all (not DAIR) or an id; default:
+            ego.
         view: labels of KITTI: those in the picture of a nominal camera, or all around.
     """
 
     data: Data
     out: Folder
-    to: Literal["opv2v", "compact", "dair", "kitti", "mcap", "osi", "osi-mcap"]
+    to: Literal["opv2v", "compact", "dair", "kitti", "mcap", "ros2", "nuscenes", "osi", "osi-mcap"]
     agent_id: Annotated[str | None, arg(metavar="{ego,all,INT}")] = None
     view: Literal["camera", "around"] = "camera"

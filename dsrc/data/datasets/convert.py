@@ -18,7 +18,8 @@ from dsrc.data.drive_folder import is_complete, write_protocol
 from dsrc.data.drives import Drive, open_drive, open_drives
 from dsrc.data.formats.dair.write import DairWriter
 from dsrc.data.formats.kitti import KittiWriter, LabelView
-from dsrc.data.formats.mcap import McapFile
+from dsrc.data.formats.mcap.foxglove import McapFile
+from dsrc.data.formats.mcap.ros2 import Ros2File
 from dsrc.data.formats.opv2v.reader import (
     PROTOCOL,
     Clouds,
@@ -30,6 +31,7 @@ from dsrc.data.formats.opv2v.reader import (
 )
 from dsrc.data.formats.osi.traces import OsiTraces
 from dsrc.data.jsonio import encode_json, read_json
+from dsrc.data.sweeps.nuscenes_writer import NuScenesWriter
 from dsrc.options.drives import ConvertOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
@@ -41,7 +43,7 @@ from sensors.frame import Frame
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.files import remove_leftovers, replacing, write_file
 
-Format = Literal["opv2v", "compact", "dair", "kitti", "mcap", "osi", "osi-mcap"]
+Format = Literal["opv2v", "compact", "dair", "kitti", "mcap", "ros2", "nuscenes", "osi", "osi-mcap"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 
 CONVERSION = "conversion.json"
@@ -183,7 +185,7 @@ def _check_options(options: ConvertOptions) -> None:
     to, agent, view = options.to, options.agent_id, options.view
     if to not in FORMATS:
         raise SettingsError(complaint("convert", "to", "a format", to, did_you_mean(to, FORMATS)))
-    if agent is not None and to not in ("dair", "kitti"):
+    if agent is not None and to not in ("dair", "kitti", "nuscenes"):
         raise SettingsError(f"convert: --to {to} holds all agents; leave out --agent-id")
     if agent is not None and agent not in (_EGO, _ALL) and not re.fullmatch(r"-?\d{1,10}", agent):
         raise SettingsError(complaint("convert", "agent_id", "ego, all or the id of an agent", agent))
@@ -362,14 +364,15 @@ def _chosen(source: Source, agent: str) -> tuple[int, ...]:
 class _Mcap(_Writer):
     """File for each drive."""
 
-    _open: McapFile | None = None
+    _make: Callable[[Path], McapFile | Ros2File] = McapFile
+    _open: McapFile | Ros2File | None = None
 
     def done(self, source: Source, i: int) -> bool:
         return self._file(source).exists()
 
     def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
         if self._open is None:
-            self._open = McapFile(self._file(source))
+            self._open = type(self)._make(self._file(source))
         self._open.write(_compensated(source, frame))
         if i + 1 == len(drive):
             self._open.close()
@@ -377,6 +380,36 @@ class _Mcap(_Writer):
 
     def _file(self, source: Source) -> Path:
         return self.out / f"{source.name}.mcap"
+
+
+class _Ros2(_Mcap):
+    """MCAP of ROS 2 messages for each drive."""
+
+    _make = Ros2File
+
+
+class _NuScenes(_Writer):
+    """Scene for each drive and chosen agent."""
+
+    def __init__(self, out: Path, mark: Conversion) -> None:
+        self._writer, self._agent = NuScenesWriter(out), mark.agent
+
+    def _scenes(self, source: Source) -> dict[str, int]:
+        """Return the names of the scenes of a drive and their agents."""
+        agents = _chosen(source, self._agent)
+        return {source.name if len(agents) == 1 else f"{source.name}-{agent}": agent for agent in agents}
+
+    def done(self, source: Source, i: int) -> bool:
+        return all(self._writer.done(scene, i) for scene in self._scenes(source))
+
+    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
+        frame = _compensated(source, frame)
+        ids = [agent.agent_id for agent in frame.agents]
+        for scene, agent in self._scenes(source).items():
+            self._writer.write(scene, i, frame, ids.index(agent))
+
+    def finish(self, sources: Sequence[Source]) -> None:
+        self._writer.finish({scene: len(source.frames) for source in sources for scene in self._scenes(source)})
 
 
 class _Osi(_Writer):
@@ -413,6 +446,8 @@ _WRITERS: dict[Format, Callable[[Path, Conversion], _Writer]] = {
     "dair": _Dair,
     "kitti": _Kitti,
     "mcap": _Mcap,
+    "ros2": _Ros2,
+    "nuscenes": _NuScenes,
     "osi": _Osi,
     "osi-mcap": _OsiMcap,
 }

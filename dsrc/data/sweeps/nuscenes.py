@@ -12,7 +12,7 @@ Source: the schema of nuScenes (docs/schema_nuscenes.md of nuscenes-devkit); H. 
 
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -31,12 +31,13 @@ from dsrc.data.sweeps.layout import (
     unit_intensity,
 )
 from sensors.frame import Region
-from sensors.presets import get_lidar
+from sensors.presets import LIDARS, get_lidar
 from sensors.sweep import Sweep, make_sweep
 from sim.errors import DataError, complaint
 
 SENSOR = "hdl-32e"
 CHANNEL = "LIDAR_TOP"
+_MOST_RINGS = 1 << 12
 FULL_SCALE = 255.0
 FORWARD_FROM_RIGHT = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """(4, 4) from nuScenes' axes of a LiDAR, x right and y forward, to ours, x forward and y left."""
@@ -103,10 +104,11 @@ class Pose(msgspec.Struct):
 
 
 class Sensor(msgspec.Struct):
-    """Row of `sensor`."""
+    """Row of `sensor`; a model, "" for unknown, in tables of ours alone."""
 
     token: str
     channel: str
+    model: str = SENSOR
 
 
 class Annotation(msgspec.Struct):
@@ -120,10 +122,11 @@ class Annotation(msgspec.Struct):
 
 
 class Instance(msgspec.Struct):
-    """Row of `instance`."""
+    """Row of `instance`; an object id in tables of ours alone."""
 
     token: str
     category_token: str
+    object_id: int | None = None
 
 
 class Category(msgspec.Struct):
@@ -139,6 +142,7 @@ class Key(NamedTuple):
     time_us: int
     file: Path
     pose: NDArray[np.float64]
+    sensor: str
     annotations: tuple[Annotation, ...]
 
 
@@ -200,24 +204,20 @@ class NuScenes(Layout):
         path = self._keys[i].file
         rows = read_floats(path, 5, "nuScenes scan")
         finite(path, rows)
-        spec = get_lidar(SENSOR)
         points = np.column_stack([rows[:, 1], -rows[:, 0], rows[:, 2]])
-        below = rows[:, 4]
-        if not ((below >= 0) & (below < spec.rings) & (below == np.floor(below))).all():
-            raise DataError(complaint(path, "ring", f"whole numbers from 0 to {spec.rings - 1}", "others"))
-        ring = spec.rings - 1 - below.astype(np.int64)
-        column = columns_of(points, ring, spec)
-        sweep = make_sweep(
-            points,
-            self._keys[i].pose,
-            self.time_s(i),
-            spec,
-            intensity=unit_intensity(path, rows[:, 3], FULL_SCALE),
-            ring=ring,
-            column=column,
-            time_offset=spec.time_offset[ring, column],
-        )
-        return [sweep]
+        sensor, below = self._keys[i].sensor, rows[:, 4]
+        spec = get_lidar(sensor) if sensor in LIDARS else None
+        rings = _MOST_RINGS if spec is None else spec.rings
+        if not ((below >= 0) & (below < rings) & (below == np.floor(below))).all():
+            raise DataError(complaint(path, "ring", f"whole numbers from 0 to {rings - 1}", "others"))
+        if spec is None:
+            rings = int(below.max(initial=0)) + 1
+        ring = rings - 1 - below.astype(np.int64)
+        columns: dict[str, Any] = {"intensity": unit_intensity(path, rows[:, 3], FULL_SCALE), "ring": ring}
+        if spec is not None and not spec.prisms:
+            columns["column"] = column = columns_of(points, ring, spec)
+            columns["time_offset"] = spec.time_offset[ring, column]
+        return [make_sweep(points, self._keys[i].pose, self.time_s(i), spec, **columns)]
 
     def labelled(self, i: int) -> bool:
         """Return whether the tables have annotations."""
@@ -259,7 +259,7 @@ def read_tables(version: Path) -> Tables:
 
 @lru_cache(maxsize=2)
 def _read_tables(version: Path, state: tuple[tuple[str, int, int], ...]) -> Tables:
-    lidars = {row.token for row in _rows(version, "sensor", Sensor) if row.channel == CHANNEL}
+    lidars = {row.token: row.model for row in _rows(version, "sensor", Sensor) if row.channel == CHANNEL}
     mounts = {row.token: row for row in _rows(version, "calibrated_sensor", Pose) if row.sensor_token in lidars}
     places = {row.token: row for row in _rows(version, "ego_pose", Pose)}
     mount_poses, body_poses = (_poses(version / f"{name}.json", rows) for name, rows in _named(mounts, places))
@@ -282,7 +282,8 @@ def _read_tables(version: Path, state: tuple[tuple[str, int, int], ...]) -> Tabl
             raise DataError(complaint(where, "filename", f"a file below {version.parent}", row.filename))
         forward = np.linalg.inv(FORWARD_FROM_RIGHT)
         pose = body_poses[row.ego_pose_token] @ mount_poses[row.calibrated_sensor_token] @ forward
-        key = Key(row.timestamp, file, pose, tuple(notes.get(sample.token, ())))
+        model = lidars[mounts[row.calibrated_sensor_token].sensor_token]
+        key = Key(row.timestamp, file, pose, model, tuple(notes.get(sample.token, ())))
         scenes[names[sample.scene_token]].append(key)
     for keys in scenes.values():
         keys.sort(key=lambda key: key.time_us)
@@ -293,7 +294,10 @@ def _read_tables(version: Path, state: tuple[tuple[str, int, int], ...]) -> Tabl
         scenes={name: keys for name, keys in scenes.items() if keys},
         height_m=heights[0] if heights else 0.0,
         category={row.token: categories.get(row.category_token, "") for row in instances},
-        row={row.token: number for number, row in enumerate(sorted(instances, key=lambda one: one.token), 1)},
+        row={
+            row.token: number if row.object_id is None else row.object_id
+            for number, row in enumerate(sorted(instances, key=lambda one: one.token), 1)
+        },
         annotated=bool(notes),
     )
 

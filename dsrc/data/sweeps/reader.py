@@ -17,7 +17,9 @@ from dsrc.data.formats.pcd import compensated
 from dsrc.data.formats.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sweeps.argoverse import Argoverse
+from dsrc.data.sweeps.bags import Bag
 from dsrc.data.sweeps.kitti import KittiObject
+from dsrc.data.sweeps.kitti_sequences import KittiTracking, SemanticKitti
 from dsrc.data.sweeps.layout import Labels, Layout
 from dsrc.data.sweeps.nuscenes import NuScenes
 from dsrc.data.sweeps.scans import Scans
@@ -27,9 +29,17 @@ from sensors.sweep import Motion
 from sim.boxes import Boxes
 from sim.errors import DataError, complaint, unreadable
 
-LAYOUTS: tuple[type[Layout], ...] = (KittiObject, NuScenes, Argoverse, Scans)
+LAYOUTS: tuple[type[Layout], ...] = (
+    KittiTracking,
+    KittiObject,
+    SemanticKitti,
+    NuScenes,
+    Argoverse,
+    Bag,
+    Scans,
+)
 """Layouts, those that are told by more before those that are told by less."""
-IN_PLACE: tuple[type[Layout], ...] = (KittiObject, Scans)
+IN_PLACE: tuple[type[Layout], ...] = (KittiTracking, KittiObject, SemanticKitti, NuScenes, Scans)
 """Layouts of loose scans, which are corrupted file by file in the tree that they have."""
 
 _WHOLE_BYTES = 1 << 20

@@ -61,6 +61,54 @@ def test_nuscenes(tmp_path: Path) -> None:
         assert sweep.spec.name == "hdl-32e"
 
 
+def test_kitti_tracking(tmp_path: Path) -> None:
+    drive = opened(trees.kitti_tracking, tmp_path)
+    assert drive.drive == tmp_path / "training" / "0000"
+    for i in range(FRAMES):
+        frame, now, start = drive.read(i), instant(i), instant(0)
+        sweep = frame.agents[0].sweep
+        assert np.array_equal(sweep.points, now.points[:, :3])
+        moved = np.linalg.inv(drive.read(0).agents[0].sweep.world_from_lidar) @ sweep.world_from_lidar
+        expected = np.linalg.inv(start.world_from_lidar) @ now.world_from_lidar
+        assert np.abs(moved - expected).max() < 1e-4
+        local = frame.truth.transform(np.linalg.inv(sweep.world_from_lidar))
+        assert np.abs(local.array - now.local.array).max() < 3e-3
+        assert frame.truth.object_id.tolist() == [1, 2]
+        assert np.linalg.norm(frame.velocity[0]) == pytest.approx(SPEED_MPS, abs=0.05)
+        assert frame.region is not None
+        assert frame.region.counts(frame.truth).all()
+
+
+def test_semantic_kitti(tmp_path: Path) -> None:
+    drive = opened(trees.semantic_kitti, tmp_path)
+    assert not drive.labelled(0)
+    for i in range(FRAMES):
+        sweep, now = drive.read(i).agents[0].sweep, instant(i)
+        moved = np.linalg.inv(drive.read(0).agents[0].sweep.world_from_lidar) @ sweep.world_from_lidar
+        expected = np.linalg.inv(instant(0).world_from_lidar) @ now.world_from_lidar
+        assert np.abs(moved - expected).max() < 1e-6
+        assert np.array_equal(sweep.points, now.points[:, :3])
+        assert drive.read(i).time_s == pytest.approx(now.time_s)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_bags(tmp_path: Path, storage: str) -> None:
+    pytest.importorskip("rosbags")
+    drive = opened(lambda folder: trees.rosbag(folder, storage), tmp_path)
+    assert drive.agents == (0, 1)
+    assert not drive.labelled(0)
+    for i in range(FRAMES):
+        frame, now = drive.read(i), instant(i)
+        rear, top = (agent.sweep for agent in frame.agents)  # by the names of their topics
+        assert np.abs(top.world_from_lidar - now.world_from_lidar).max() < 1e-9
+        assert np.array_equal(top.points, now.points[:, :3])
+        assert np.array_equal(top.intensity, now.points[:, 3])
+        assert np.array_equal(top.ring, now.ring)
+        assert np.abs(rear.world_points - top.world_points).max() < 1e-4
+        assert frame.time_s == pytest.approx(now.time_s)
+        assert frame.agents[1].speed == pytest.approx(SPEED_MPS)
+
+
 def test_a_folder_of_scans(tmp_path: Path) -> None:
     drive = opened(trees.scans, tmp_path)
     for i in range(FRAMES):

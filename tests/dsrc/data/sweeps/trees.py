@@ -250,3 +250,127 @@ def nuscenes(folder: Path) -> Path:
     for name, rows in tables.items():
         (version / f"{name}.json").write_text(json.dumps(rows))
     return folder
+
+
+def rosbag(folder: Path, storage: str = "mcap") -> Path:
+    """Bag of rosbag2 by `rosbags`: two LiDARs on a car, `/tf` and `/tf_static`; no boxes."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+
+    def of(kind: str, **values: object) -> object:
+        return types[kind](**values)
+
+    def header(stamp: int, name: str) -> object:
+        time = of("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+        return of("std_msgs/msg/Header", stamp=time, frame_id=name)
+
+    def transform(stamp: int, parent: str, child: str, pose: NDArray[np.float64]) -> object:
+        w, x, y, z = quaternion(pose)
+        turn = of("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+        place = of("geometry_msgs/msg/Vector3", **dict(zip("xyz", pose[:3, 3].tolist(), strict=True)))
+        inner = of("geometry_msgs/msg/Transform", translation=place, rotation=turn)
+        return of(
+            "geometry_msgs/msg/TransformStamped", header=header(stamp, parent), child_frame_id=child, transform=inner
+        )
+
+    def cloud(stamp: int, name: str, points: NDArray[np.float32], ring: NDArray[np.uint8]) -> object:
+        # As the driver of Velodyne writes it: x, y, z, intensity to 255, ring, 22 bytes a point with the time.
+        table = np.zeros(
+            len(points),
+            np.dtype(
+                [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+            ),
+        )
+        table["x"], table["y"], table["z"] = points[:, :3].T
+        table["intensity"], table["ring"] = np.round(points[:, 3] * 255), ring
+        fields = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("intensity", 12, 7), ("ring", 16, 4), ("time", 18, 7)]
+        return of(
+            "sensor_msgs/msg/PointCloud2",
+            header=header(stamp, name),
+            height=1,
+            width=len(table),
+            fields=[
+                of("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=kind, count=1)
+                for name, offset, kind in fields
+            ],
+            is_bigendian=False,
+            point_step=22,
+            row_step=22 * len(table),
+            data=np.frombuffer(table.tobytes(), np.uint8),
+            is_dense=True,
+        )
+
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    tf, points_kind = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/PointCloud2"
+    mounts = {"top": pose_matrix([0.5, 0.0, HEIGHT_M]), "rear": pose_matrix([-2.0, 0.0, 0.8], np.pi)}
+    folder.mkdir(parents=True, exist_ok=True)
+    with Writer(folder / "bag", version=9, storage_plugin=plugin) as writer:
+        moving = writer.add_connection("/tf", tf, typestore=store)
+        fixed = writer.add_connection("/tf_static", tf, typestore=store)
+        sensors = {
+            name: writer.add_connection(f"/{name}/velodyne_points", points_kind, typestore=store) for name in mounts
+        }
+        start = 1_700_000_000_000_000_000
+        steps = [transform(start, "base_link", name, pose) for name, pose in mounts.items()]
+        writer.write(fixed, start, store.serialize_cdr(of(tf, transforms=steps), tf))
+        for index in range(FRAMES):
+            now, stamp = instant(index), start + index * 100_000_000
+            body = now.world_from_lidar @ invert(mounts["top"])
+            step = [transform(stamp, "map", "base_link", body)]
+            writer.write(moving, stamp, store.serialize_cdr(of(tf, transforms=step), tf))
+            for name, mount in mounts.items():
+                local = transform_points(invert(mount) @ mounts["top"], now.points[:, :3].astype(np.float64))
+                rows = np.column_stack([local, now.points[:, 3]]).astype(np.float32)
+                # A message is written a while after the sweep that it holds.
+                written = store.serialize_cdr(cloud(stamp, name, rows, now.ring), points_kind)
+                writer.write(sensors[name], stamp + 7_000_000, written)
+    return folder
+
+
+def kitti_tracking(folder: Path) -> Path:
+    """KITTI's tracking tree, after the development kit's readme; names of its calibration as published."""
+    split = folder / "training"
+    for name in ("velodyne/0000", "label_02", "calib", "oxts"):
+        (split / name).mkdir(parents=True)
+    labels, oxts = "", ""
+    # The inertial unit is put into the LiDAR; 49 degrees north, where KITTI was recorded.
+    latitude, longitude, earth_m = 49.0, 8.4, 6378137.0
+    for index in range(FRAMES):
+        now, first = instant(index), instant(0)
+        (split / f"velodyne/0000/{index:06d}.bin").write_bytes(now.points.tobytes())
+        labels += "".join(kitti_line(now.local, row, f"{index} {now.local.object_id[row] - 1} ") for row in range(2))
+        east, north = (now.world_from_lidar - first.world_from_lidar)[:2, 3]
+        north_deg = np.degrees(north / earth_m)
+        east_deg = np.degrees(east / (earth_m * np.cos(np.radians(latitude))))
+        yaw = np.arctan2(now.world_from_lidar[1, 0], now.world_from_lidar[0, 0])
+        numbers_of = [latitude + north_deg, longitude + east_deg, 115.0, 0.0, 0.0, yaw, *([0.0] * 24)]
+        oxts += " ".join(f"{value:.14g}" for value in numbers_of) + "\n"
+    labels += "0 -1 DontCare -1 -1 -10.0 219.3 188.5 245.5 218.6 -1000 -1000 -1000 -10 -1 -1 -1\n"
+    (split / "label_02" / "0000.txt").write_text(labels)
+    (split / "oxts" / "0000.txt").write_text(oxts)
+    rows = {f"P{k}:": P2 for k in range(4)} | {"R_rect": np.eye(3), "Tr_velo_cam": CAMERA_FROM_VELO}
+    rows["Tr_imu_velo"] = np.eye(4)[:3]
+    (split / "calib" / "0000.txt").write_text("".join(f"{name} {numbers(row)}\n" for name, row in rows.items()))
+    return folder
+
+
+def semantic_kitti(folder: Path) -> Path:
+    """Sequence of SemanticKITTI, after the readmes of its API and of KITTI's odometry development kit."""
+    sequence = folder / "sequences" / "00"
+    (sequence / "velodyne").mkdir(parents=True)
+    camera = np.vstack([CAMERA_FROM_VELO, [0.0, 0.0, 0.0, 1.0]])
+    poses, times = "", ""
+    for index in range(FRAMES):
+        now = instant(index)
+        (sequence / f"velodyne/{index:06d}.bin").write_bytes(now.points.tobytes())
+        moved = np.linalg.inv(instant(0).world_from_lidar) @ now.world_from_lidar
+        poses += numbers((camera @ moved @ np.linalg.inv(camera))[:3]) + "\n"
+        times += f"{now.time_s:.6e}\n"
+    (sequence / "poses.txt").write_text(poses)
+    (sequence / "times.txt").write_text(times)
+    text = "".join(f"P{k}: {numbers(P2)}\n" for k in range(4)) + f"Tr: {numbers(CAMERA_FROM_VELO)}\n"
+    (sequence / "calib.txt").write_text(text)
+    return folder

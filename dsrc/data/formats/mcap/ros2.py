@@ -1,0 +1,189 @@
+"""ROS 2 messages in MCAP: one file per drive with transforms, clouds and ground truth, for rosbag2, RViz and Foxglove.
+
+    /tf                 tf2_msgs/TFMessage              world -> agent_ID -> lidar_ID
+    /agents/ID/points   sensor_msgs/PointCloud2         x, y, z, intensity (0 to 1), ring, object_id in lidar_ID
+    /truth              visualization_msgs/MarkerArray  a cube per object in the world: ns is its class, id its id
+
+Needs the packages `rosbags` and `mcap`. Source: the message definitions of ROS 2 Humble; https://mcap.dev/spec/registry.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.formats.mcap.foxglove import quaternion
+from sensors.frame import AgentFrame, Frame
+from sim.boxes import CLASSES
+from sim.errors import SettingsError
+from sim.files import named, replacing
+from sim.geometry import invert, pose_matrix
+
+TF, CLOUD, MARKERS = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/PointCloud2", "visualization_msgs/msg/MarkerArray"
+POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("object_id", "<i4")]
+)
+_DATATYPES = {"<f4": 7, "<u2": 4, "<i4": 5}
+"""Values of `sensor_msgs/PointField.datatype`."""
+_CUBE = 1
+
+
+class Ros2File:
+    """MCAP file of ROS 2 messages that appears when it is closed."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file.
+
+        Raises:
+            SettingsError: a package is missing.
+        """
+        try:
+            from mcap.writer import Writer
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError:
+            hint = "pip install 'dsrc-testbed[ros]'"
+            raise SettingsError(f"ros2: expected the packages rosbags and mcap, found none; {hint}") from None
+        self.path = path
+        self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
+        self._replacing = replacing(path)
+        self._file = self._replacing.__enter__().open("wb")
+        self._writer = Writer(self._file)
+        self._writer.start(profile="ros2", library="dsrc-testbed")
+        texts = {kind: self._store.generate_msgdef(kind, ros_version=2)[0] for kind in (TF, CLOUD, MARKERS)}
+        self._schemas = {
+            kind: self._writer.register_schema(kind, "ros2msg", text.encode()) for kind, text in texts.items()
+        }
+        self._channels: dict[str, int] = {}
+        self._frames = 0
+
+    def write(self, frame: Frame) -> None:
+        """Append a frame."""
+        with named(self.path):
+            self._message("/tf", TF, frame.time_s, self._transforms(frame))
+            for agent in frame.agents:
+                self._message(f"/agents/{agent.agent_id}/points", CLOUD, frame.time_s, self._cloud(agent, frame.time_s))
+            self._message("/truth", MARKERS, frame.time_s, self._markers(frame))
+        self._frames += 1
+
+    def close(self) -> None:
+        """Finish the file and move it to its path."""
+        with named(self.path):
+            self._writer.finish()
+            self._file.close()
+            self._replacing.__exit__(None, None, None)
+
+    def _message(self, topic: str, kind: str, time_s: float, message: object) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
+        nanoseconds = round(time_s * 1e9)
+        content = bytes(self._store.serialize_cdr(message, kind))
+        self._writer.add_message(self._channels[topic], nanoseconds, content, nanoseconds, self._frames)
+
+    def _of(self, kind: str, **values: object) -> Any:
+        """Return a message of a kind; names without a package are of geometry_msgs."""
+        return self._store.types[kind if "/" in kind else f"geometry_msgs/msg/{kind}"](**values)
+
+    def _header(self, time_s: float, frame_id: str) -> Any:
+        seconds, nanoseconds = divmod(round(time_s * 1e9), 10**9)
+        stamp = self._of("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+        return self._of("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
+
+    def _vector(self, values: NDArray[np.float64], kind: str = "Vector3") -> Any:
+        return self._of(kind, **dict(zip("xyz", values.tolist(), strict=True)))
+
+    def _transforms(self, frame: Frame) -> Any:
+        steps: list[tuple[str, str, NDArray[np.float64]]] = []
+        for agent in frame.agents:
+            body, name = agent.world_from_body, f"agent_{agent.agent_id}"
+            steps.append(("world", name, body))
+            steps.append((name, f"lidar_{agent.agent_id}", invert(body) @ agent.sweep.world_from_lidar))
+        transforms = [
+            self._of(
+                "TransformStamped",
+                header=self._header(frame.time_s, parent),
+                child_frame_id=child,
+                transform=self._of(
+                    "Transform",
+                    translation=self._vector(matrix[:3, 3]),
+                    rotation=self._of("Quaternion", **quaternion(matrix)),
+                ),
+            )
+            for parent, child, matrix in steps
+        ]
+        return self._of(TF, transforms=transforms)
+
+    def _cloud(self, agent: AgentFrame, time_s: float) -> Any:
+        table = point_table(agent)
+        names = POINT.names or ()
+        offsets = [POINT.fields[name][1] for name in names] if POINT.fields else []
+        return self._of(
+            CLOUD,
+            header=self._header(time_s, f"lidar_{agent.agent_id}"),
+            height=1,
+            width=len(table),
+            fields=[
+                self._of(
+                    "sensor_msgs/msg/PointField",
+                    name=name,
+                    offset=offset,
+                    datatype=_DATATYPES[POINT[name].str],
+                    count=1,
+                )
+                for name, offset in zip(names, offsets, strict=True)
+            ],
+            is_bigendian=False,
+            point_step=POINT.itemsize,
+            row_step=POINT.itemsize * len(table),
+            data=np.frombuffer(table.tobytes(), np.uint8),
+            is_dense=True,
+        )
+
+    def _markers(self, frame: Frame) -> Any:
+        boxes = frame.truth
+        poses = pose_matrix(boxes.center, boxes.yaw)
+        markers = [
+            self._of(
+                "visualization_msgs/msg/Marker",
+                header=self._header(frame.time_s, "world"),
+                ns=CLASSES[boxes.label[row]],
+                id=int(boxes.object_id[row]),
+                type=_CUBE,
+                action=0,
+                pose=self._of(
+                    "Pose",
+                    position=self._vector(boxes.center[row], "Point"),
+                    orientation=self._of("Quaternion", **quaternion(poses[row])),
+                ),
+                scale=self._vector(boxes.size[row]),
+                color=self._of("std_msgs/msg/ColorRGBA", r=0.2, g=0.55, b=0.9, a=0.45),
+                lifetime=self._of("builtin_interfaces/msg/Duration", sec=0, nanosec=200_000_000),
+                frame_locked=False,
+                points=[],
+                colors=[],
+                texture_resource="",
+                texture=self._of(
+                    "sensor_msgs/msg/CompressedImage",
+                    header=self._header(frame.time_s, ""),
+                    format="",
+                    data=np.zeros(0, np.uint8),
+                ),
+                uv_coordinates=[],
+                text="",
+                mesh_resource="",
+                mesh_file=self._of("visualization_msgs/msg/MeshFile", filename="", data=np.zeros(0, np.uint8)),
+                mesh_use_embedded_materials=False,
+            )
+            for row in range(len(boxes))
+        ]
+        return self._of(MARKERS, markers=markers)
+
+
+def point_table(agent: AgentFrame) -> NDArray[np.void]:
+    """Return the (P,) records of a sweep that MCAP files hold."""
+    sweep = agent.sweep
+    table = np.zeros(len(sweep), POINT)
+    table["x"], table["y"], table["z"] = sweep.points.T
+    table["intensity"], table["object_id"] = sweep.intensity, sweep.object_id
+    table["ring"] = np.maximum(sweep.ring, 0)
+    return table
