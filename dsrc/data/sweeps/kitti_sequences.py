@@ -146,7 +146,8 @@ class KittiTracking(Layout):
         if not np.isfinite(place).all():
             raise DataError(complaint(self._oxts, "latitude", "degrees within -90 and 90", "others"))
         place += [0.0, 0.0, _IMU_M] - place[0]
-        return [_rotated(*angles, spot) for angles, spot in zip(rows[:, 3:6].tolist(), place, strict=True)]
+        angles = zip(*rows[:, 3:6].T.tolist(), place, strict=True)
+        return [_rotated(roll, pitch, yaw, spot) for roll, pitch, yaw, spot in angles]
 
 
 _IMU_M = 0.93

@@ -47,10 +47,10 @@ _WHOLE_BYTES = 1 << 20
 
 
 def sweeps_below(root: Path) -> list[Path]:
-    """Return the paths of the drives of sweeps at or below a file or folder (itself, its children, theirs), sorted."""
+    """Return the paths of the drives of sweeps at or below a file or folder, at most three folders down, sorted."""
     found: list[Path] = []
     places = [root]
-    for _ in range(3):
+    for _ in range(4):  # such as training/velodyne/0000
         deeper: list[Path] = []
         for place in places:
             drives = _drives_at(place)

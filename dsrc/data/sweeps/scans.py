@@ -8,6 +8,10 @@ with boxes in the sensor's frame, m and rad, classes of `sim.boxes.CLASSES` (all
 object's in all frames; a frame that it does not list is not labelled. Or KITTI's text, `label_2/NAME.txt` beside the
 folder, with its `calib`.
 
+What files do not say may stand in `scans.toml` in the folder: `columns`, `intensity_scale` and `sensor` as the options
+of `dsrc corrupt`, and `height`, of the sensor above the ground, m. Without a scale of the intensities it is found in 64
+scans spread over the folder.
+
 A frame's number is that at the end of its file's name, 0.1 s apart, where these differ; 16 digits are microseconds.
 """
 
@@ -19,20 +23,24 @@ from typing import Self
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from dsrc.data.clouds.files import ending_of, is_scan, read_scan
+from dsrc.data.clouds.columns import parse_columns
+from dsrc.data.clouds.files import ending_of, is_scan, read_scan, scale_of
+from dsrc.data.clouds.intensity import Scale, parse_scale
 from dsrc.data.formats.kitti_labels import read_calibration
 from dsrc.data.jsonio import read_json
 from dsrc.data.sweeps.kitti import kitti_truth, picture_region
 from dsrc.data.sweeps.layout import BoxRows, Labels, Layout
-from sensors.frame import Region
 from sensors.presets import get_lidar
 from sensors.sweep import STATIC, Sweep
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
 from sim.reading import read_text
+from sim.settings import read_toml
 
-BOXES = "boxes.json"
+BOXES, SETTINGS = "boxes.json", "scans.toml"
+_LOOKED_INTO = 64
 _NUMBER = re.compile(r"(\d+)\D*$")
 _MICROSECONDS = 16
 
@@ -44,6 +52,15 @@ class FrameBoxes(msgspec.Struct, frozen=True):
     boxes: list[tuple[float, float, float, float, float, float, float]]
     classes: list[str] | None = None
     ids: list[int] | None = None
+
+
+class ScanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Content of `scans.toml`; see the module."""
+
+    columns: str | list[str] | None = None
+    intensity_scale: float | str | None = None
+    sensor: str | None = None
+    height: float = 0.0
 
 
 class BoxesFile(msgspec.Struct, frozen=True):
@@ -71,6 +88,12 @@ class Scans(Layout):
         places = [self._folder / BOXES, self._folder.parent / BOXES]
         self._boxes_file = next((place for place in places if place.is_file()), None)
         self._listed = lru_cache(maxsize=1)(self._read_boxes)
+        place = self._folder / SETTINGS
+        settings = read_toml(place, ScanSettings, DataError) if place.is_file() else ScanSettings()
+        self._columns, self._sensor = parse_columns(settings.columns), settings.sensor
+        self._declared = parse_scale(settings.intensity_scale)
+        self._scale = lru_cache(maxsize=1)(self._find_scale)
+        self.height_m = (settings.height,)
 
     @classmethod
     def below(cls, folder: Path) -> list[Path]:
@@ -91,13 +114,22 @@ class Scans(Layout):
     def sweeps(self, i: int) -> list[Sweep]:
         """Return the sweep of a scan."""
         path = self._scans[self.frames[i]]
-        scan = read_scan(path)
+        scan = read_scan(path, self._columns, self._scale())
+        sensor = self._sensor or scan.sensor
         try:
-            sweep = scan.cloud.sweep(None if scan.sensor is None else get_lidar(scan.sensor))
+            sweep = scan.cloud.sweep(None if sensor is None else get_lidar(sensor))
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
         ids = np.full(len(sweep), STATIC, np.int32)
-        return [replace(sweep, object_id=ids, time_s=self.time_s(i))]
+        pose = self.poses(i)[0]
+        intensity = np.minimum(sweep.intensity, np.float32(1.0))
+        return [replace(sweep, object_id=ids, time_s=self.time_s(i), world_from_lidar=pose, intensity=intensity)]
+
+    def poses(self, i: int) -> list[NDArray[np.float64]]:
+        """Return the pose of the sensor: above the ground at the origin."""
+        pose = np.eye(4)
+        pose[2, 3] = self.height_m[0]
+        return [pose]
 
     def labelled(self, i: int) -> bool:
         """Return whether `boxes.json` lists the frame, or KITTI's labels are beside it."""
@@ -121,11 +153,11 @@ class Scans(Layout):
         rows = BoxRows(dict(zip(CLASSES, CLASSES, strict=True)))
         for name, row, one in zip(names, entry.boxes, ids, strict=True):
             rows.add(name, row, one)
-        return Labels(rows.boxes(self._boxes_file, where)[0])
+        return Labels(rows.boxes(self._boxes_file, where)[0].transform(self.poses(i)[0]))
 
     def files(self, i: int) -> list[Path]:
         """Return the scan and the labels."""
-        return [self._scans[self.frames[i]], self._boxes_file or self._text(i)]
+        return [self._scans[self.frames[i]], self._boxes_file or self._text(i), self._folder / SETTINGS]
 
     def _kitti(self, i: int) -> Labels:
         path = self._text(i)
@@ -133,8 +165,17 @@ class Scans(Layout):
         calibration = read_calibration(path.parent.parent / "calib" / path.name)
         boxes, spared = kitti_truth(path, lines, calibration)
         picture = path.parent.parent / "image_2" / f"{path.stem}.png"
-        region: Region | None = picture_region(path, lines, calibration, picture, spared)
-        return Labels(replace(boxes, object_id=np.arange(1, len(boxes) + 1)), None, region)
+        pose = self.poses(i)[0]
+        region = picture_region(path, lines, calibration, picture, spared).transform(pose)
+        return Labels(replace(boxes, object_id=np.arange(1, len(boxes) + 1)).transform(pose), None, region)
+
+    def _find_scale(self) -> Scale:
+        """Return the scale declared, or that of scans spread over the folder."""
+        if self._declared is not None:
+            return self._declared
+        files = list(self._scans.values())
+        some = files[:: max(1, len(files) // _LOOKED_INTO)]
+        return scale_of(some, self._columns, self._folder)
 
     def _text(self, i: int) -> Path:
         scan = self._scans[self.frames[i]]

@@ -11,6 +11,7 @@ from dsrc.data.formats.kitti_labels import InImage
 from dsrc.evaluation.metrics.ap import FrameResult
 from dsrc.evaluation.metrics.protocols import Protocol
 from dsrc.ops.detections import Detections
+from sensors.frame import Region
 from sim.boxes import Boxes
 
 
@@ -38,6 +39,7 @@ class Truth:
         reach_m: (N,) distance from the ego of the nearest agent with a point on it, m; 0 where the ego has one.
         image: of each box in the camera's image; None if unknown.
         rounds: boxes are judged as float32, as stored ones are; which of them count is decided before.
+        region: where boxes are judged, true ones and detections; None for everywhere.
     """
 
     boxes: Boxes
@@ -45,6 +47,7 @@ class Truth:
     reach_m: NDArray[np.float64]
     image: InImage | None = None
     rounds: bool = False
+    region: Region | None = None
 
     def judged(self, rows: NDArray[np.bool_] | slice) -> Boxes:
         """Return the boxes of some rows as they are judged."""

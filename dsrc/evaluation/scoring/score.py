@@ -109,11 +109,24 @@ def score(
         own = one.truth if known is None else known
         if own is None:
             raise DataError(complaint(where, "truth", "a tree of true boxes, since none are stored here", "none"))
+        one = _judged(one, own)
         if doubt := _doubt(one, own):
             one = replace(one, note=f"{one.note}; {doubt}" if one.note else doubt)
         rated = one.images is not None and all(truth.image is not None for truth in own.values())
         results += _scores(one, own, get_protocols(protocol, levels=rated))
     return results
+
+
+def _judged(one: DetectionSet, truth: Mapping[FrameKey, Truth]) -> DetectionSet:
+    """Return a set without the detections that lie out of the regions in which true boxes are known."""
+    regions = {key: truth[key].region for key in one.frames if key in truth}
+    if all(region is None for region in regions.values()):
+        return one
+    frames = {
+        key: found if (region := regions.get(key)) is None else found[region.counts(found.boxes)]
+        for key, found in one.frames.items()
+    }
+    return replace(one, frames=frames)
 
 
 _NEAR_M, _LEAST_NEAR, _ENOUGH = 3.0, 0.05, 20

@@ -41,9 +41,13 @@ def truth_of_frame(frame: Frame, ego_id: int | None = None, drive: str = "") -> 
     others = frame.truth.object_id != np.array([ids[row] for row in rows])[:, None]
     sees = (frame.points_on[rows] >= 1) & others
     reach = np.where(sees, distance[:, None], np.inf).min(axis=0)
-    boxes = frame.truth.transform(invert(frame.agents[ego].sweep.world_from_lidar))
+    ego_from_world = invert(frame.agents[ego].sweep.world_from_lidar)
+    boxes = frame.truth.transform(ego_from_world)
+    region = None if frame.region is None else frame.region.transform(ego_from_world)
     kept = boxes.is_vehicle & np.isfinite(reach)
-    return Truth(boxes[kept], boxes.object_id[kept] == ego_id, reach[kept])
+    if region is not None:
+        kept &= region.counts(boxes)
+    return Truth(boxes[kept], boxes.object_id[kept] == ego_id, reach[kept], region=region)
 
 
 def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None = None) -> dict[FrameKey, Truth]:
@@ -53,7 +57,7 @@ def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None =
     of it by its own digits, as in OpenCOOD.
 
     Args:
-        tree: drive, folder of drives, or KITTI's object tree.
+        tree: drive, folder of drives, or KITTI's object tree, as labels alone where frames name no drive.
         progress: called with frames read and frames to read.
 
     Raises:
@@ -61,6 +65,8 @@ def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None =
     """
     keys = list(keys)
     labels = kitti_labels.label_folder(tree)
+    if labels is not None and any(key.drive for key in keys) and find_drives(tree):
+        labels = None  # of a drive, as `dsrc evaluate` and `dsrc detect` name the tree
     read = _Drives(tree).truth if labels is None else partial(_of_labels, labels)
     found = {}
     for done, key in enumerate(keys, 1):

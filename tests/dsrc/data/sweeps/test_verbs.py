@@ -1,0 +1,136 @@
+"""The table of `docs/your_data.md`: every verb takes every format, each cell on files in that format."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsrc.data.datasets.check import check_dataset
+from dsrc.data.datasets.convert import convert
+from dsrc.data.datasets.corrupt import corrupt_dataset
+from dsrc.data.drives import labelled_frames, open_drives
+from dsrc.evaluation.detect import Method, evaluate_drive, frame_positions
+from dsrc.evaluation.scoring.score import score
+from dsrc.models.detector import Detector, detect
+from dsrc.models.storage.checkpoint import load_detector
+from dsrc.training.samples import SampleStore
+from sensors.corruptions import Condition
+from sim.errors import DataError
+from tests.dsrc.data.sweeps import trees
+from tests.dsrc.data.sweeps.scene import FRAMES
+from tests.dsrc.evaluation.fakes import PointCounter
+from tests.paths import ROOT
+
+FORMATS: dict[str, tuple[Callable[[Path], Path], str | None]] = {
+    "KITTI object": (trees.kitti_object, None),
+    "KITTI tracking": (trees.kitti_tracking, None),
+    "SemanticKITTI": (trees.semantic_kitti, None),
+    "nuScenes": (trees.nuscenes, None),
+    "Argoverse 2": (trees.argoverse, "pyarrow"),
+    "bag": (trees.rosbag, "rosbags"),
+    "folder of scans": (trees.scans, None),
+}
+WITHOUT_TRUTH = ("SemanticKITTI", "bag")
+VERBS = ("check", "convert", "corrupt", "detect", "evaluate", "train", "view", "score --truth")
+
+
+@pytest.fixture(params=list(FORMATS))
+def tree(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
+    make, package = FORMATS[request.param]
+    if package is not None:
+        pytest.importorskip(package)
+    return request.param, make(tmp_path / "data")
+
+
+def test_check_finds_no_fault(tree: tuple[str, Path]) -> None:
+    assert check_dataset(tree[1]) == []
+
+
+def test_convert_keeps_points_and_boxes(tree: tuple[str, Path], tmp_path: Path) -> None:
+    convert(data=tree[1], out=tmp_path / "out", to="opv2v")
+    (before,), (after,) = open_drives(tree[1]), open_drives(tmp_path / "out")
+    for i in range(FRAMES):
+        old, new = before.read(i), after.read(i)
+        assert np.array_equal(new.agents[0].sweep.points, old.agents[0].sweep.points)
+        assert np.abs(new.truth.array - old.truth.array).max(initial=0.0) < 1e-9
+
+
+def test_corrupt_changes_the_points(tree: tuple[str, Path], tmp_path: Path) -> None:
+    corrupt_dataset(data=tree[1], out=tmp_path / "out", corruption="fog", severity=5)
+    before, after = open_drives(tree[1])[0].read(0), open_drives(tmp_path / "out")[0].read(0)
+    clean, foggy = before.agents[0].sweep, after.agents[0].sweep
+    assert len(foggy) > 0
+    assert not np.array_equal(foggy.intensity, clean.intensity)
+
+
+@pytest.fixture(scope="module")
+def detector() -> Detector:
+    return load_detector(ROOT / "dsrc" / "checkpoints" / "small-plain.pt")
+
+
+def test_detect_finds_boxes_with_and_without_truth(tree: tuple[str, Path], detector: Detector) -> None:
+    for drive in open_drives(tree[1]):
+        found = detect(detector, drive.read(0))
+        assert np.isfinite(found.boxes.array).all()
+
+
+def test_evaluate_judges_what_is_labelled(tree: tuple[str, Path]) -> None:
+    name, data = tree
+    (drive,) = open_drives(data)
+    method, clean = Method("counter", PointCounter()), Condition("clean", 1, "physical")
+    if name in WITHOUT_TRUTH:
+        with pytest.raises(DataError, match=r"ground truth: expected boxes of at least one frame, found none; .*judge"):
+            frame_positions([drive], None)
+        return
+    positions = frame_positions([drive], None)[0]
+    assert positions == list(range(FRAMES))
+    result = evaluate_drive(drive, positions, {clean: [method]}, 0)[clean, "counter"]
+    assert [len(frame.truth) for frame in result.table.results()] == [1] * FRAMES
+    assert [len(frame.detections) for frame in result.table.results()] == [1] * FRAMES
+
+
+def test_train_takes_the_labelled_frames(tree: tuple[str, Path]) -> None:
+    name, data = tree
+    request, drives = PointCounter().settings, [drive.drive for drive in open_drives(data)]
+    if name in WITHOUT_TRUTH:
+        with pytest.raises(DataError, match="frames with ground truth: expected at least one"):
+            SampleStore(drives, request)
+        return
+    store = SampleStore(drives, request)
+    assert len(store.frames) == len(labelled_frames(store.drives[0])) == FRAMES
+    sample = store.sample(store.frames[0], store.egos(store.frames[0])[0])
+    assert len(sample.boxes) == 1
+    assert len(sample.clouds[0]) > 500
+
+
+def test_view_shows_the_clouds(tree: tuple[str, Path], tmp_path: Path) -> None:
+    from dsrc.review.page.output.export import export_html
+
+    page = export_html(data=tree[1], out=tmp_path / "page.html", frames=1)
+    assert page.stat().st_size > 10_000
+
+
+def test_score_takes_the_truth_of_a_tree(tree: tuple[str, Path], tmp_path: Path) -> None:
+    name, data = tree
+    if name in WITHOUT_TRUTH:
+        pytest.skip("no ground truth")
+    (drive,) = open_drives(data)
+    frames = []
+    for i in range(FRAMES):
+        sweep = drive.read(i).agents[0].sweep
+        boxes = drive.read(i).truth.transform(np.linalg.inv(sweep.world_from_lidar))
+        rows = boxes[boxes.is_vehicle].array.tolist()
+        frames.append({"drive": drive.drive.name, "frame": drive.frames[i], "boxes": rows, "score": [0.9] * len(rows)})
+    (tmp_path / "boxes.json").write_text(json.dumps({"frames": frames}))
+    (result,) = score(tmp_path / "boxes.json", data, "opencood")
+    assert result.ap["bev", 0.7] == pytest.approx(1.0)
+
+
+def test_the_page_has_a_row_for_each_format_and_a_column_for_each_verb() -> None:
+    lines = (ROOT / "docs" / "your_data.md").read_text().splitlines()
+    head = next(k for k, line in enumerate(lines) if line.startswith("| format |"))
+    assert lines[head].split("|")[2:-1] == [f" `{verb}` " for verb in VERBS]
+    rows = {line.split("|")[1].strip() for line in lines[head + 2 : head + 2 + len(FORMATS)]}
+    assert rows == set(FORMATS)
