@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from dsrc.data.checksums import ends_of
 from dsrc.data.formats.annotation import with_own_bodies
 from dsrc.data.formats.pcd import compensated
-from dsrc.data.formats.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sweeps.argoverse import Argoverse
 from dsrc.data.sweeps.bags import Bag
@@ -23,6 +22,7 @@ from dsrc.data.sweeps.kitti_sequences import KittiTracking, SemanticKitti
 from dsrc.data.sweeps.layout import Labels, Layout
 from dsrc.data.sweeps.nuscenes import NuScenes
 from dsrc.data.sweeps.scans import Scans
+from dsrc.data.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from sensors.deskew import check_motion
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import Motion

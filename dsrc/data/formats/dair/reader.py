@@ -44,8 +44,8 @@ from dsrc.data.formats.dair.tree import (
     read_transform,
 )
 from dsrc.data.formats.pcd import SENSOR_FULL_SCALE, compensated, read_pcd
-from dsrc.data.formats.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from dsrc.data.jsonio import read_json
+from dsrc.data.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from sensors.deskew import check_motion
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import Motion

@@ -25,9 +25,9 @@ from dsrc.data.formats.annotation import Annotation, with_own_bodies
 from dsrc.data.formats.opv2v.compact import encode_compact, read_compact
 from dsrc.data.formats.opv2v.record import Record, encode_agent, read_agent, read_plan
 from dsrc.data.formats.pcd import compensated, encode_pcd, read_pcd
-from dsrc.data.formats.velocity_from_tracks import TimedBoxes, tracked_velocity
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.points_in_boxes import points_in_boxes
+from dsrc.data.velocity_from_tracks import TimedBoxes, tracked_velocity
 from sensors.deskew import check_motion, deskew_frame
 from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
 from sensors.sweep import Motion, Sweep

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dsrc.data.formats.velocity_from_tracks import TimedBoxes, tracked_velocity
+from dsrc.data.velocity_from_tracks import TimedBoxes, tracked_velocity
 from sim.boxes import Boxes
 
 
