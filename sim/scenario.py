@@ -77,7 +77,8 @@ class DemandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         max_vehicles: no insertion while this many vehicles are on the road.
         type_mix: class name -> weight.
         trips: path of a .rou.xml(.gz) with recorded vehicles or trips, beside the scenario file, below `tools/` of
-            eclipse-sumo or inside a wheel: they replace `vehicles_per_hour`, in bodies of `type_mix`.
+            eclipse-sumo or inside a wheel: they replace `vehicles_per_hour`, in bodies of `type_mix`; with an empty
+            one, in bodies of the classes of their vTypes. Flows, routes by id and persons that walk are read too.
         trips_s: first and last time of the trips, s; each seed begins at another time in between.
         parked_per_km: parked cars and vans per km of kerb with room for them.
     """

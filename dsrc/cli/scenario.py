@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from inspect import getdoc
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 from tyro.conf import Positional
@@ -181,8 +181,8 @@ class Show(msgspec.Struct, frozen=True):
 class Import(msgspec.Struct, frozen=True):
     """Make a scenario of a SUMO network, an OpenStreetMap extract or an OpenDRIVE file.
 
-    The roads, and from OpenStreetMap the houses, trees, lamps, hedges, fences and walls, become a folder that
-    `dsrc generate` takes.
+    The roads, and the map's houses, trees, lamps, hedges, fences and walls, become a folder that `dsrc generate` takes.
+    Area, demand and agents are chosen such that seeds 1 to 10 give a drive.
 
     Examples:
         dsrc scenario import my_town.osm.pbf
@@ -192,17 +192,19 @@ class Import(msgspec.Struct, frozen=True):
         map: .net.xml, .net.xml.gz, .osm, .osm.gz, .osm.bz2, .osm.pbf or .xodr.
         name: name of the scenario; default: the file's.
         out: new folder; default: the scenario's name, here.
+        traffic_side: side on which traffic keeps; auto: as the map or its country has it.
     """
 
     map: Positional[File]
     name: str = ""
     out: Folder | None = None
+    traffic_side: Literal["auto", "left", "right"] = "auto"
 
     def run(self) -> None:
         """Convert the map and print the new folder."""
         from sim.catalog.import_map import import_map
 
-        folder = import_map(Path(self.map), self.name, self.out)
+        folder = import_map(Path(self.map), self.name, self.out, traffic_side=self.traffic_side)
         made(folder, "a scenario", "generate", folder, "--out", "data")
 
 

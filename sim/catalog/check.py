@@ -55,7 +55,7 @@ def wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, obj
     for name in demand.type_mix:
         if name not in MOTOR_CLASSES:
             yield "demand.type_mix", "classes of motor vehicles", f"'{name}'", did_you_mean(name, MOTOR_CLASSES)
-    if demand.vehicles_per_hour > 0 and sum(demand.type_mix.values()) <= 0:
+    if demand.vehicles_per_hour > 0 and not demand.trips and sum(demand.type_mix.values()) <= 0:
         yield "demand.type_mix", "a positive weight", dict(demand.type_mix), ""
     if scenario.conflict is not None:
         yield from _wrong_conflict(scenario.conflict, ", ".join(given))

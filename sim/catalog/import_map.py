@@ -15,7 +15,7 @@ import msgspec
 from sim.catalog.dry_run import STAY_S, carried, least_traffic, longest_stay, rates
 from sim.errors import ScenarioError, complaint
 from sim.reading import parsing
-from sim.roads.convert import ConvertedMap, convert_map, map_kind
+from sim.roads.convert import ConvertedMap, TrafficSide, convert_map, map_kind
 from sim.roads.focus import PlaceArea, beside_road, busiest_place
 from sim.scenario import DemandSpec
 
@@ -28,7 +28,13 @@ _AGENTS = 3
 _OSM = "Map data (c) OpenStreetMap contributors, ODbL 1.0"
 
 
-def import_map(source: Path, name: str = "", out: Path | None = None, seeds: Sequence[int] = SEEDS) -> Path:
+def import_map(
+    source: Path,
+    name: str = "",
+    out: Path | None = None,
+    seeds: Sequence[int] = SEEDS,
+    traffic_side: TrafficSide = "auto",
+) -> Path:
     """Import a map as a scenario, with traffic around its busiest junction or on its longest road.
 
     Args:
@@ -36,6 +42,7 @@ def import_map(source: Path, name: str = "", out: Path | None = None, seeds: Seq
         name: of the scenario; default: from the file.
         out: folder to make; default: one of that name here.
         seeds: seeds whose drives must be possible.
+        traffic_side: side on which traffic keeps; `auto`: as the map or its country has it.
 
     Returns:
         The folder: `dsrc generate FOLDER` takes it.
@@ -56,7 +63,7 @@ def import_map(source: Path, name: str = "", out: Path | None = None, seeds: Seq
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as work:
         made = Path(work) / "made"
         made.mkdir()
-        found = convert_map(source, made)
+        found = convert_map(source, made, traffic_side)
         with parsing(source, "map", ScenarioError):
             _write_scenario(made / "scenario.toml", source, name, found, seeds)
         if folder.is_dir():

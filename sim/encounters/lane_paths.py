@@ -23,10 +23,12 @@ class LanePath:
     Attributes:
         path: path along the lanes.
         stop_m: distance along it of the end of the approach lane, m.
+        kerb_side: -1 where traffic keeps right, 1 where it keeps left.
     """
 
     path: ReferencePath
     stop_m: float
+    kerb_side: float = -1.0
 
 
 def lane_paths_of(name: str, net: Network, given: Mapping[str, Sequence[str]]) -> dict[str, LanePath]:
@@ -67,7 +69,7 @@ def lane_paths_of(name: str, net: Network, given: Mapping[str, Sequence[str]]) -
             last = link_on.getToLane()
             after = np.concatenate([after, _inside(net, link_on), _shape(last)])
         path = ReferencePath.through(np.concatenate([before, _inside(net, link), after]), 6.0)
-        found[role] = LanePath(path, path.nearest(before[-1, :2]))
+        found[role] = LanePath(path, path.nearest(before[-1, :2]), net.kerb_side)
     return found
 
 

@@ -9,7 +9,7 @@ from sim.bodies.vehicle_types import TYPES
 from sim.encounters.draw import CARS, pick
 from sim.encounters.lane_paths import LanePath, meeting
 from sim.encounters.paths import ReferencePath, SpeedProfile
-from sim.encounters.turning import LEFT, slowing
+from sim.encounters.turning import LEFT, RIGHT, slowing
 from sim.encounters.types import HIT_S, Layout, ScriptedActor, actor, standing
 
 LTA_ROLES = ("ego", "conflict", "truck")
@@ -20,7 +20,7 @@ _MATES = 6
 
 
 def lta_truck(p: Mapping[str, float], rng: np.random.Generator, streets: Mapping[str, LanePath]) -> Layout:
-    """Lay out `sim.encounters.turning.lta_truck` on a map; the lorry waits on its own left-turn path."""
+    """Lay out `sim.encounters.turning.lta_truck` on a map; the lorry waits on its own path across the oncoming lane."""
     ego, oncoming, truck = (streets[role] for role in LTA_ROLES)
     meet = meeting(ego.path, oncoming.path)
     pace = slowing(min(13.0, p["ego_mps"] + 4.0), p["ego_mps"], 14.0, HIT_S)
@@ -38,10 +38,10 @@ def lta_truck(p: Mapping[str, float], rng: np.random.Generator, streets: Mapping
             pace,
             at_m=ego.path.nearest(meet),
             at_s=HIT_S,
-            lights=((LEFT, 0.0, HIT_S + 2.0),),
+            lights=((LEFT if ego.kerb_side < 0 else RIGHT, 0.0, HIT_S + 2.0),),
         ),
         _met("conflict", pick(CARS, rng), oncoming.path, p["conflict_mps"], meet, p["jitter_s"]),
-        _waiting("truck", "occluder helper", kind, straight, front, -p["offset_m"], size),
+        _waiting("truck", "occluder helper", kind, straight, front, truck.kerb_side * p["offset_m"], size),
         _waiting("follower", "occluder helper", "van_box", straight, front - size[0] - 2.2),
     )
     return Layout(None, actors, focus=_focus(meet), reach_m=_REACH_M)

@@ -13,7 +13,7 @@ from sim.encounters.types import HIT_S, EncounterType, Layout, Parameter, Struct
 from sim.scenario import RoadsideUnit
 
 _HALF = 0.5 * LANE_M
-_RIGHT, LEFT = 1, 2
+RIGHT, LEFT = 1, 2
 _CORNER_M = 6.0
 """Radius of the kerbs where arms meet the ring of a roundabout."""
 
@@ -90,7 +90,7 @@ def cyclist_right_hook(p: Mapping[str, float], rng: np.random.Generator) -> Layo
             pace,
             at_m=meet_at - 1.6,
             at_s=HIT_S,
-            lights=((_RIGHT, 1.0, HIT_S + 2.0),),
+            lights=((RIGHT, 1.0, HIT_S + 2.0),),
         ),
         actor(
             "conflict",

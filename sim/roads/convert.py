@@ -3,16 +3,25 @@
 import bz2
 import gzip
 import hashlib
+import logging
+import re
 import tempfile
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 from sim.errors import ScenarioError, complaint
 from sim.reading import check_regular, parsing
 from sim.roads import kerbside, rounding
+from sim.roads.xodr import OpenDrive
+from sim.roads.osm import in_order, keeps_left
 from sim.roads.pbf import MOST_BYTES, pbf_to_xml
 from sim.roads.tools import Option, drop_header, run_tool, sumo_home
+
+log = logging.getLogger(__name__)
+
+TrafficSide = Literal["auto", "left", "right"]
 
 MAP_SUFFIXES = (".net.xml", ".net.xml.gz", ".osm", ".osm.xml", ".osm.gz", ".osm.bz2", ".osm.pbf", ".pbf", ".xodr")
 """File name suffixes of convertible maps."""
@@ -51,6 +60,9 @@ _OPENDRIVE_TYPES = ("opendriveNetconvert", "opendriveNetconvertPedestrians", "op
 
 _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.street_lamp", "man_made.utility_pole")
 """Roadside objects taken from a map, by tag key or by key and value."""
+
+_MOST_FAULTS = 20
+_OFFSET = re.compile(r'<location netOffset="([^",]+),([^",]+)"')
 
 _CODE = (__file__, rounding.__file__, kerbside.__file__)
 CONVERSION = hashlib.sha256(b"".join(Path(file).read_bytes() for file in _CODE)).hexdigest()
@@ -93,35 +105,31 @@ def is_network(path: Path) -> bool:
     return map_kind(path).startswith(".net.xml")
 
 
-def convert_map(source: Path, folder: Path) -> ConvertedMap:
+def convert_map(source: Path, folder: Path, traffic_side: TrafficSide = "auto") -> ConvertedMap:
     """Convert a map to `map.net.xml` and, if it has roadside objects, `map.poly.xml`.
 
     Args:
         source: a SUMO network, an OpenStreetMap extract or an OpenDRIVE file.
+        traffic_side: side on which traffic keeps; `auto` by the rules of OpenDRIVE's roads, the country of an extract
+            or the network's own.
 
     Raises:
         ScenarioError: the file is missing, of an unknown format, or refused by netconvert.
     """
     kind = map_kind(source)
     check_regular(source, "map", ScenarioError)
+    if is_network(source) and traffic_side != "auto":
+        raise ScenarioError(
+            complaint(source, "traffic_side", "auto for a SUMO network, which has its side", traffic_side)
+        )
     net = folder / "map.net.xml"
-    options: dict[str, Option]
     with tempfile.TemporaryDirectory(dir=folder) as work:
         if is_network(source):
-            options = ROUND | {"sumo-net-file": str(source)}
+            run_tool("netconvert", ROUND | {"sumo-net-file": str(source), "output-file": str(net)}, net, str(source))
         elif kind == ".xodr":
-            options = _FROM_OPENDRIVE | {"opendrive-files": str(source), "type-files": _type_maps(*_OPENDRIVE_TYPES)}
+            _from_opendrive(source, folder, Path(work), traffic_side)
         else:
-            osm = _plain_osm(source, kind, Path(work))
-            maps = _type_maps(*_OSM_TYPES)
-            options = _FROM_OSM | {"osm-files": str(osm), "type-files": maps, "osm.elevation": _has_heights(osm)}
-        run_tool("netconvert", options | {"output-file": str(net)}, net, str(source))
-        if "osm-files" in options and "<edge " not in net.read_text(encoding="utf-8"):
-            # A street alone counts as isolated too.
-            alone: dict[str, Option] = {"remove-edges.isolated": False, "output-file": str(net)}
-            run_tool("netconvert", options | alone, net, str(source))
-        if "osm-files" in options:
-            _polygons(source, Path(str(options["osm-files"])), folder, Path(work))
+            _from_osm(source, kind, folder, Path(work), traffic_side)
     with parsing(source, f"{kind} file", ScenarioError):
         drop_header(net)
         made = ConvertedMap.of(folder)
@@ -129,6 +137,52 @@ def convert_map(source: Path, folder: Path) -> ConvertedMap:
         text = kerbside.with_room_to_park(text, kerbside.houses_of(made.polygons))
         net.write_text(text, encoding="utf-8")
     return made
+
+
+def _from_osm(source: Path, kind: str, folder: Path, work: Path, side: TrafficSide) -> None:
+    net, osm = folder / "map.net.xml", in_order(_plain_osm(source, kind, work), source, work)
+    options = _FROM_OSM | {
+        "osm-files": str(osm),
+        "type-files": _type_maps(*_OSM_TYPES),
+        "osm.elevation": _has_heights(osm),
+        "output-file": str(net),
+    }
+    if side == "left" or (side == "auto" and keeps_left(osm)):
+        options["lefthand"] = True
+    run_tool("netconvert", options, net, str(source))
+    if "<edge " not in net.read_text(encoding="utf-8"):
+        # A street alone counts as isolated too.
+        run_tool("netconvert", options | {"remove-edges.isolated": False}, net, str(source))
+    _polygons(source, osm, folder, work)
+
+
+def _from_opendrive(source: Path, folder: Path, work: Path, side: TrafficSide) -> None:
+    """Convert OpenDRIVE, without the objects and signals that netconvert refuses the map for."""
+    net, plain = folder / "map.net.xml", work / "map.xodr"
+    options = _FROM_OPENDRIVE | {"type-files": _type_maps(*_OPENDRIVE_TYPES), "output-file": str(net)}
+    try:
+        drive = OpenDrive(source)
+    except ET.ParseError:
+        run_tool("netconvert", options | {"opendrive-files": str(source)}, net, str(source))
+        return
+    options |= {"opendrive-files": str(plain)}
+    left = side == "left" or (side == "auto" and drive.left_hand)
+    if left:
+        options["lefthand"] = True
+    for _ in range(_MOST_FAULTS):
+        drive.write(plain, left_hand=left)
+        try:
+            run_tool("netconvert", options, net, str(source))
+            break
+        except ScenarioError as refusal:
+            dropped = drive.drop_fault(refusal)
+            if not dropped:
+                raise
+            log.warning("%s: left out %s", source.name, dropped)
+    offset = _OFFSET.search(net.read_text(encoding="utf-8"))
+    rows = drive.objects_xml((float(offset[1]), float(offset[2])) if offset else (0.0, 0.0))
+    if rows:
+        (folder / "map.poly.xml").write_text(f"<additional>\n{rows}</additional>\n", encoding="utf-8")
 
 
 def _type_maps(*names: str) -> str:

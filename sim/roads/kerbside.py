@@ -34,8 +34,9 @@ def with_room_to_park(text: str, houses: list[shapely.Geometry]) -> str:
     others = [_band(lane) for lanes in streets.values() for lane in lanes if lane.get("allow") != "pedestrian"]
     tree = shapely.STRtree([*houses, *others])
     moved = {}
+    side = 1.0 if 'lefthand="true"' in text[: text.find("<location")] else -1.0
     for lanes in streets.values():
-        line = _aside(lanes)
+        line = _aside(lanes, side)
         if line is not None:
             # Unshifted, it touches the lane beside it.
             free = _band(lanes[0] | {"shape": text_of(line)}).buffer(-0.2)
@@ -54,8 +55,8 @@ def _band(lane: dict[str, str]) -> shapely.Polygon:
     return shapely.LineString(line_of(lane["shape"])[:, :2]).buffer(half, cap_style="flat")
 
 
-def _aside(lanes: list[dict[str, str]]) -> Array | None:
-    """Return the shifted line of a footway; None on streets without parking."""
+def _aside(lanes: list[dict[str, str]], side: float) -> Array | None:
+    """Return the shifted line of a footway, to the left for side 1 and the right for -1; None without parking."""
     foot, beside = lanes[0], lanes[1] if len(lanes) > 1 else {}
     if foot.get("allow") != "pedestrian" or "passenger" in beside.get("disallow", "").split():
         return None
@@ -74,7 +75,7 @@ def _aside(lanes: list[dict[str, str]]) -> Array | None:
     dense = np.column_stack([np.interp(at, along, line[:, k]) for k in range(line.shape[1])])
     way = np.gradient(dense[:, :2], axis=0)
     way /= np.maximum(np.hypot(*way.T), 1e-9)[:, None]
-    dense[:, :2] += out[:, None] * np.column_stack([way[:, 1], -way[:, 0]])
+    dense[:, :2] += side * out[:, None] * np.column_stack([-way[:, 1], way[:, 0]])
     return dense
 
 

@@ -1,5 +1,6 @@
 """Road networks: shipped with eclipse-sumo or another package, generated, or a user's file."""
 
+import gzip
 import hashlib
 import os
 import re
@@ -81,7 +82,16 @@ def _read(path: str, _changed_ns: int) -> Network:
         net = sumolib.net.readNet(path, withInternal=True)
     if not net.getEdges():
         raise ScenarioError(complaint(path, "network", "at least one edge", "none"))
+    net.kerb_side = 1.0 if _is_left_hand(Path(path)) else -1.0
     return net
+
+
+def _is_left_hand(path: Path) -> bool:
+    """Return whether the root element of a network says that its traffic keeps left, which sumolib does not read."""
+    with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
+        head = file.read(1 << 16)
+    start = head.find(b"<net ")
+    return b'lefthand="true"' in head[start : head.find(b">", start)] if start >= 0 else False
 
 
 _SHAPES = re.compile(

@@ -54,7 +54,7 @@ class ParkedCars(Rows):
 def parked_cars(scenario: Scenario, net: Network, seed: int) -> ParkedCars:
     """Park `demand.parked_per_km` cars and vans per km of kerb that has room, around the scenario's area.
 
-    There is room on the right of a street of at most 50 km/h whose outermost lane is for cars, where neither another
+    There is room at the kerb of a street of at most 50 km/h whose outermost lane is for cars, where neither another
     lane nor a footway, a junction or a roadside unit is.
 
     Args:
@@ -70,7 +70,7 @@ def parked_cars(scenario: Scenario, net: Network, seed: int) -> ParkedCars:
             lane = _kerb_lane(edge)
             if lane is None or not taken.reaches(lane):
                 continue
-            for middle, heading, bay in _slots(lane):
+            for middle, heading, bay in _slots(lane, net.kerb_side):
                 # Drawn for every bay, so that no car depends on bays elsewhere.
                 lot, kind = float(rng.uniform()), _draw(rng)
                 aside, along = rng.uniform(0.0, 0.15), rng.uniform(-0.3, 0.3)
@@ -81,8 +81,8 @@ def parked_cars(scenario: Scenario, net: Network, seed: int) -> ParkedCars:
                 if lot < share:
                     out = 0.5 * lane.getWidth() + _FROM_LANE_M + 0.5 * kind.size[1] + aside
                     ahead = np.array([np.cos(heading), np.sin(heading)])
-                    right = np.array([ahead[1], -ahead[0]])
-                    base.append([*(middle[:2] + out * right + along * ahead), middle[2]])
+                    kerb = net.kerb_side * np.array([-ahead[1], ahead[0]])
+                    base.append([*(middle[:2] + out * kerb + along * ahead), middle[2]])
                     yaw.append(turned)
                     kinds.append(kind)
     return ParkedCars(
@@ -127,7 +127,7 @@ class _Ground:
         return True
 
 
-def _slots(lane: RoadLane) -> list[tuple[Array, float, shapely.Polygon]]:
+def _slots(lane: RoadLane, side: float) -> list[tuple[Array, float, shapely.Polygon]]:
     """Return (centre on the lane's line, heading, bay) along the straight parts of a lane."""
     line = np.array(lane.getShape3D(), np.float64)
     step = np.hypot(*np.diff(line[:, :2], axis=0).T)
@@ -142,10 +142,10 @@ def _slots(lane: RoadLane) -> list[tuple[Array, float, shapely.Polygon]]:
         if abs(bend) > _BEND_RAD:
             continue
         way = (ends[2, :2] - ends[0, :2]) / max(float(np.hypot(*(ends[2, :2] - ends[0, :2]))), 1e-9)
-        right = np.array([way[1], -way[0]])
+        kerb = side * np.array([-way[1], way[0]])
         near, far = 0.5 * lane.getWidth(), 0.5 * lane.getWidth() + _FROM_LANE_M + width
-        corners = [ends[0, :2] + far * right, ends[2, :2] + far * right, ends[2, :2] + near * right]
-        bay = shapely.Polygon([*corners, ends[0, :2] + near * right])
+        corners = [ends[0, :2] + far * kerb, ends[2, :2] + far * kerb, ends[2, :2] + near * kerb]
+        bay = shapely.Polygon([*corners, ends[0, :2] + near * kerb])
         found.append((ends[1], float(np.arctan2(way[1], way[0])), bay))
     return found
 

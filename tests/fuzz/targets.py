@@ -30,7 +30,7 @@ from sim.roads.pbf import pbf_to_xml
 from sim.roads.polygons import has_buildings, read_outlines
 from sim.roads.tools import run_tool
 from sim.traffic.log import TrafficLog
-from sim.traffic.sumo.demand import _read_trips
+from sim.traffic.sumo.trips import read_trips
 from sim.world.furniture.map_objects import read_map_objects
 from sim.world.world_file import load_world
 from tests.dsrc.closed_loop.logged import Mover, ahead, episode
@@ -56,6 +56,9 @@ POLYGONS = """<additional>
 TRIPS = """<routes>
   <vehicle id="a" depart="3.50"><route edges="e1 e2 e3"/></vehicle>
   <trip id="b" depart="7.25" from="e1" to="e3"/>
+  <vType id="lorry" vClass="truck"/><route id="r" edges="e1 e2"/>
+  <flow id="c" type="lorry" route="r" begin="0" end="60" vehsPerHour="600"/>
+  <person id="d" depart="4.00"><walk from="e1" to="e2"/></person>
 </routes>
 """
 TRACE = "time_s,delay_s,loss,sender,receiver\n0.0,0.1,0.02,1000,*\n1.5,0.25,0.5,,\n"
@@ -246,7 +249,7 @@ def _maps(folder: Path) -> list[Target]:
         Target("OpenStreetMap, binary", packed, lambda path: pbf_to_xml(path, folder / "two.osm")),
         Target("buildings", polygons, lambda path: has_buildings(path) and read_outlines(path), "text"),
         Target("roadside objects", polygons, read_map_objects, "text"),
-        Target("trips", trips, _read_trips, "text"),
+        Target("trips", trips, read_trips, "text"),
     ]
 
 

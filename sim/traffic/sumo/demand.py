@@ -1,8 +1,5 @@
 """SUMO demand: seeded trips of vehicles, bicycles and pedestrians as a .rou.xml."""
 
-import gzip
-import io
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,12 +8,12 @@ import numpy as np
 from sim.bodies.vehicle_types import TYPES, VehicleType, types_of
 from sim.errors import ScenarioError, complaint
 from sim.files import write_file
-from sim.reading import LARGEST_BYTES, parsing, read_bytes
 from sim.roads.network import Network
 from sim.roads.networks import resolve_trips
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.traffic.sumo.routes import Routes, candidate_routes, walkable_edges
+from sim.traffic.sumo.trips import read_trips
 
 AFTER_S = 1800.0
 """Duration of trips after the nominal end, s, for runs that continue."""
@@ -72,42 +69,27 @@ def _recorded(
     first_s, last_s = demand.trips_s
     begin_s = rng.uniform(first_s, max(first_s, last_s - scenario.warmup_s - scenario.duration_s))
     known = {edge.getID() for edge in net.getEdges(withInternal=False)}
-    for index, (depart_s, edges, is_route) in enumerate(_read_trips(resolve_trips(scenario))):
-        kind = _choose_type(labels[int(rng.choice(len(labels), p=weights / weights.sum()))], rng)
-        after_s = depart_s - begin_s
-        if not 0.0 <= after_s < end_s or not known.issuperset(edges):
+    for index, trip in enumerate(read_trips(resolve_trips(scenario))):
+        drawn = labels[int(rng.choice(len(labels), p=weights / weights.sum()))] if labels else trip.label
+        kind = _choose_type(drawn if trip.label not in ("pedestrian", "bicycle") else trip.label, rng)
+        after_s = trip.depart_s - begin_s
+        if not 0.0 <= after_s < end_s or not known.issuperset(trip.edges):
             continue
-        start = f'id="v{index}" type="{kind.name}" depart="{after_s:.2f}" departLane="best" departSpeed="max"'
-        if is_route:
-            text = f'<vehicle {start}><route edges="{" ".join(edges)}"/></vehicle>'
+        start = f'type="{kind.name}" depart="{after_s:.2f}"'
+        ends = f'from="{trip.edges[0]}" to="{trip.edges[-1]}"'
+        if trip.label == "pedestrian":
+            name = f"p{index}"
+            way = f'edges="{" ".join(trip.edges)}"' if trip.is_route else ends
+            text = f'<person id="{name}" {start}><walk {way}/></person>'
         else:
-            text = f'<trip {start} from="{edges[0]}" to="{edges[-1]}"/>'
-        yield round(after_s, 2), f"v{index}", text
-
-
-def _read_trips(path: Path) -> list[tuple[float, list[str], bool]]:
-    """Return (departure in s, edges, whether the route is complete) of the trips of a .rou.xml(.gz) file.
-
-    Raises:
-        ScenarioError: the file is of another format or without trips.
-    """
-    raw = read_bytes(path, ".rou.xml file", ScenarioError)
-    with parsing(path, ".rou.xml file", ScenarioError):
-        if path.suffix == ".gz":
-            with gzip.open(io.BytesIO(raw)) as packed:
-                raw = packed.read(LARGEST_BYTES)
-        root = ET.fromstring(raw)
-        found = []
-        for element in root:
-            depart = element.get("depart", "")
-            route = element.find("route") if element.tag == "vehicle" else None
-            if route is not None:
-                found.append((float(depart), route.get("edges", "").split(), True))
-            elif element.tag == "trip" and element.get("from") and element.get("to"):
-                found.append((float(depart), [element.get("from", ""), element.get("to", "")], False))
-    if not found:
-        raise ScenarioError(complaint(path, "demand.trips", "vehicles with routes, or trips with from and to", "none"))
-    return sorted(found)
+            name = f"v{index}"
+            start = f'id="{name}" {start} departLane="best" departSpeed="max"'
+            via = f' via="{" ".join(trip.edges[1:-1])}"' if len(trip.edges) > 2 else ""
+            if trip.is_route:
+                text = f'<vehicle {start}><route edges="{" ".join(trip.edges)}"/></vehicle>'
+            else:
+                text = f"<trip {start} {ends}{via}/>"
+        yield round(after_s, 2), name, text
 
 
 def _bicycles(

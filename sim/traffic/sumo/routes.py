@@ -18,6 +18,9 @@ Area = tuple[float, float, float, float]
 MARGIN_M = 150.0
 """Margin around an area on whose edges trips begin and end, m."""
 
+_TURNAROUNDS = ("t", "T")
+"""SUMO's directions of connections that turn back, on the right and on the left."""
+
 _ANYWHERE = 60
 """Approximate number of trip ends in an area without gates."""
 
@@ -184,7 +187,9 @@ def _next(edge: Edge, vclass: str) -> Iterator[Edge]:
     """Yield the successors of an edge for a vehicle class, without U-turns."""
     for other, connections in edge.getOutgoing().items():
         turns_back = edge.getFromNode() is other.getToNode() and edge.getToNode() is other.getFromNode()
-        if not turns_back and any(c.getFromLane().allows(vclass) and c.getToLane().allows(vclass) for c in connections):
+        # Half of a ring leads to the other half, between the same two nodes.
+        links = [c for c in connections if not (turns_back and c.getDirection() in _TURNAROUNDS)]
+        if any(c.getFromLane().allows(vclass) and c.getToLane().allows(vclass) for c in links):
             yield other
 
 

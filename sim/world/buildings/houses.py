@@ -14,7 +14,7 @@ from sim.mesh.solids import MeshPart, join, mesh_part, slab
 from sim.roads.polygons import STOREY_M
 from sim.world.buildings.facades import WALLS, colours, wall_rectangles, windows
 from sim.world.roads.markings import cut_line, offset
-from sim.world.roads.streets import Streets
+from sim.world.roads.streets import Lane, Streets
 from sim.world.roads.surfaces import TOWN_SPEED_MPS
 
 CLEARANCE_M = 4.5
@@ -180,10 +180,15 @@ def _fronts(streets: Streets) -> list[Array]:
             continue
         reach = 0.5 * lane.width + 5.0
         if lane.index == 0:
-            fronts.append(offset(lane.line, -reach - lane.verge)[::-1])
+            fronts.append(_with_street_right(lane, lane.kerb_side, reach + lane.verge))
         if lane.index == lane.count - 1 and not lane.opposite:
-            fronts.append(offset(lane.line, reach))
+            fronts.append(_with_street_right(lane, -lane.kerb_side, reach))
     return fronts
+
+
+def _with_street_right(lane: Lane, side: float, reach_m: float) -> Array:
+    line = offset(lane.line, side * reach_m)
+    return line if side > 0 else line[::-1]
 
 
 def _rectangle(front: Array, start_m: float, width_m: float, setback_m: float, depth_m: float) -> shapely.Polygon:

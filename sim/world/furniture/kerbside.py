@@ -127,7 +127,7 @@ def _gardens(streets: Streets, places: _Places, share: float, rng: np.random.Gen
     for lane, side in _edges(streets):
         if lane.speed > TOWN_SPEED_MPS:
             continue
-        behind = 0.6 if lane.verge > 0 and side < 0 else 3.0
+        behind = 0.6 if lane.verge > 0 and side == lane.kerb_side else 3.0
         line = offset(lane.line, side * (0.5 * lane.width + lane.verge + behind))
         at = _FROM_CORNER_M
         while at < _length(line) - _FROM_CORNER_M - 5.0:
@@ -152,7 +152,7 @@ def _mast(unit: Array, streets: Streets) -> MeshPart:
 
 
 def _signals(streets: Streets, places: _Places) -> list[MeshPart]:
-    """Return a traffic light on the right of each approach that ends at one."""
+    """Return a traffic light on the kerb side of each approach that ends at one."""
     parts = []
     for lane in streets.lanes:
         if lane.kind != "road" or lane.internal or lane.stop != "signal" or lane.index != 0 or lane.speed < 8.0:
@@ -161,7 +161,7 @@ def _signals(streets: Streets, places: _Places) -> list[MeshPart]:
         way = way / max(float(np.hypot(*way)), 1e-9)
         # Beyond the footway, else on its side towards the road.
         for aside, on_walk in (*_BEYOND, (0.4 - lane.verge, True), *_ON_PAVEMENT):
-            xy = end + (0.5 * lane.width + lane.verge + aside) * np.array([way[1], -way[0]])
+            xy = end + lane.kerb_side * (0.5 * lane.width + lane.verge + aside) * np.array([-way[1], way[0]])
             if places.free(xy, 0.3 if on_walk else 0.6, 0.3 if on_walk else 0.5, 1.0, 1.0, on_walk=on_walk):
                 parts.append(move(traffic_light(), _base(streets, xy), float(np.arctan2(way[1], way[0]))))
                 break
@@ -189,12 +189,12 @@ def sign() -> MeshPart:
 
 
 def _lamps(streets: Streets, places: _Places) -> list[MeshPart]:
-    """Return lamps, with signs between some of them, along the right side of each street of a town."""
+    """Return lamps, with signs between some of them, along the kerb of each street of a town."""
     parts = []
     for lane, side in _edges(streets):
-        if side > 0 or lane.speed > TOWN_SPEED_MPS:
+        if side != lane.kerb_side or lane.speed > TOWN_SPEED_MPS:
             continue
-        line = offset(lane.line, -0.5 * lane.width - lane.verge - 0.8)
+        line = offset(lane.line, side * (0.5 * lane.width + lane.verge + 0.8))
         for number, at in enumerate(np.arange(8.0, _length(line) - 4.0, 0.5 * _LAMP_EVERY_M)):
             here, ahead = cut_line(line, at, at + 0.5)[[0, -1]]
             if not places.free(here, 0.6, 0.8, 3.0, 6.0):
@@ -241,9 +241,9 @@ def tree(rng: np.random.Generator, size: float) -> MeshPart:
 def _edges(streets: Streets) -> list[tuple[Lane, float]]:
     """Return the outer lanes of all streets and the side of the kerb: -1 right, 1 left."""
     lanes = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal and lane.speed >= 8.0]
-    right = [(lane, -1.0) for lane in lanes if lane.index == 0]
-    left = [(lane, 1.0) for lane in lanes if lane.index == lane.count - 1 and not lane.opposite]
-    return right + left
+    outer = [(lane, lane.kerb_side) for lane in lanes if lane.index == 0]
+    inner = [(lane, -lane.kerb_side) for lane in lanes if lane.index == lane.count - 1 and not lane.opposite]
+    return outer + inner
 
 
 def _length(line: Array) -> float:

@@ -34,21 +34,22 @@ def markings(streets: Streets) -> list[MeshPart]:
 
 
 def _lane_lines(lane: Lane) -> list[tuple[Array, float]]:
-    """Return (line, width) of the markings of a lane: left border, right edge, end."""
+    """Return (line, width) of the markings of a lane: inner border, edge at the kerb, end."""
     fast = lane.speed > TOWN_SPEED_MPS
     dash, gap = (6.0, 12.0) if fast else (3.0, 6.0)
     found: list[tuple[Array, float]] = []
     large = lane.count > 1 or fast
-    left = offset(lane.line, 0.5 * lane.width)
+    side = -lane.kerb_side
+    inner = offset(lane.line, side * 0.5 * lane.width)
     if lane.index + 1 < lane.count:
-        found += [(cut, _LINE_M) for cut in dashes(left, dash, gap)]
+        found += [(cut, _LINE_M) for cut in dashes(inner, dash, gap)]
     elif lane.opposite and lane.count == 1:
         # Both directions share this border: each paints every other dash.
-        found += [(cut, _LINE_M) for cut in dashes(left, dash, 2.0 * gap + dash)]
+        found += [(cut, _LINE_M) for cut in dashes(inner, dash, 2.0 * gap + dash)]
     elif large:
-        found.append((offset(lane.line, 0.5 * lane.width - _LINE_M), _LINE_M))
+        found.append((offset(lane.line, side * (0.5 * lane.width - _LINE_M)), _LINE_M))
     if lane.index == 0 and large:
-        found.append((offset(lane.line, -0.5 * lane.width + _LINE_M), _LINE_M))
+        found.append((offset(lane.line, side * (-0.5 * lane.width + _LINE_M)), _LINE_M))
     length = _length(lane.line)
     if lane.stop and length > 6.0 and lane.speed > 8.0:
         end = cut_line(lane.line, length - 0.9, length - 0.9 + _STOP_M)

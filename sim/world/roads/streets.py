@@ -29,14 +29,15 @@ class Lane:
         line: (K, 2) centre line, m.
         width: m.
         edge: id of its edge.
-        index: from the right among the lanes of its kind, 0 first.
+        index: from the kerb among the lanes of its kind, 0 first.
         count: lanes of its kind on the edge.
-        verge: width of lanes of other kinds on its right, such as sidewalks, m.
+        verge: width of lanes of other kinds on its kerb's side, such as sidewalks, m.
         internal: it lies in a junction.
         speed: limit, m/s.
         stop: control at its end: "signal", "yield" or "".
-        opposite: the edge has a partner in the other direction along its left side.
+        opposite: the edge has a partner in the other direction along its inner side.
         beside_road: the edge has lanes for motor vehicles.
+        kerb_side: side of its kerb: -1 right, or 1 left where traffic keeps left.
     """
 
     kind: str
@@ -51,6 +52,7 @@ class Lane:
     stop: str
     opposite: bool
     beside_road: bool
+    kerb_side: float = -1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +106,7 @@ def read_streets(net: Network, area: Area | None, margin_m: float, bays: shapely
             if len(line) < 2 or not frame.intersects(shapely.LineString(line[:, :2])):
                 continue
             lines.append(line)
-            lanes.append(_lane(edge, lane, kinds, _without_repeats(line[:, :2]), opposite))
+            lanes.append(_lane(edge, lane, kinds, _without_repeats(line[:, :2]), opposite, net.kerb_side))
     road = _close(_cover(lanes, ("road", "bicycle")) | _junctions(net, frame) | bays) & frame
     areas = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() == "walkingarea"]
     walk = _cover(lanes, ("walk",)) | _walking_areas(areas, frame)
@@ -124,7 +126,7 @@ def _kind(edge: Edge, lane: RoadLane) -> str:
     return "walk" if lane.allows("pedestrian") else "rail"
 
 
-def _lane(edge: Edge, lane: RoadLane, kinds: list[str], line: Array, opposite: bool) -> Lane:
+def _lane(edge: Edge, lane: RoadLane, kinds: list[str], line: Array, opposite: bool, kerb_side: float) -> Lane:
     own = lane.getIndex()
     kind = kinds[own]
     # A cycle lane beside a carriageway is part of it.
@@ -145,6 +147,7 @@ def _lane(edge: Edge, lane: RoadLane, kinds: list[str], line: Array, opposite: b
         stop="" if internal else _stop(edge, lane),
         opposite=opposite,
         beside_road="road" in kinds and not internal,
+        kerb_side=kerb_side,
     )
 
 
