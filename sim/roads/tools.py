@@ -12,6 +12,9 @@ from sim.errors import ScenarioError, one_line
 
 Option = str | int | float | bool
 
+_MOST_S = 600.0
+"""Longest run of a program, s: some files keep netconvert busy for ever."""
+
 
 @lru_cache(maxsize=1)
 def sumo_home() -> Path:
@@ -38,7 +41,7 @@ def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) ->
         what: begins the error message, such as the file to convert.
 
     Raises:
-        ScenarioError: the program fails; the message holds its output.
+        ScenarioError: the program fails or does not end; the message holds its output.
     """
     binary = sumo_home() / "bin" / (f"{name}.exe" if sys.platform == "win32" else name)
     arguments = [
@@ -46,14 +49,18 @@ def run_tool(name: str, options: Mapping[str, Option], made: Path, what: str) ->
     ]
     # Without it the programs search for projections elsewhere and warn.
     places = {"PROJ_DATA": str(sumo_home() / "data" / "proj")}
-    done = subprocess.run(
-        [str(binary), *arguments],
-        capture_output=True,
-        text=True,
-        errors="replace",
-        check=False,
-        env=os.environ | places,
-    )
+    try:
+        done = subprocess.run(
+            [str(binary), *arguments],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+            env=os.environ | places,
+            timeout=_MOST_S,
+        )
+    except subprocess.TimeoutExpired:
+        raise ScenarioError(f"{what}: {name} has not ended after {_MOST_S:g} s") from None
     if done.returncode != 0 or not made.is_file():
         _, error, reason = done.stderr.partition("Error: ")
         reason = reason.replace("Quitting (on error).", "") if error else "nothing came out"

@@ -78,7 +78,7 @@ class OpenDrive:
         Args:
             offset: of the network's coordinates from those of the file, m.
         """
-        rows = []
+        rows: list[str] = []
         for road in self.root.iter("road"):
             line = _ReferenceLine(road)
             for thing in road.iterfind("objects/object"):
@@ -165,7 +165,8 @@ def _number(element: ET.Element, name: str) -> float:
     return value
 
 
-_POINTS = {"tree": "natural.tree", "vegetation": "natural.tree", "pole": "man_made.utility_pole"}
+_POINTS = {"tree": "natural.tree", "vegetation": "natural.tree", "pole": "man_made.utility_pole",
+    "streetlamp": "highway.street_lamp", "gantry": "man_made.utility_pole"}  # fmt: skip
 _LAMPS = ("lamp", "lantern", "light")
 _BARRIERS = {"fence": "fence", "wall": "wall", "hedge": "hedge", "railing": "guard_rail", "guard": "guard_rail"}
 
@@ -174,7 +175,8 @@ def _placed(thing: ET.Element, line: _ReferenceLine, offset: tuple[float, float]
     """Yield (kind of a .poly.xml, (K, 2) corners or (1, 2) place) of an object and its repetitions."""
     kind, name = thing.get("type", "").lower(), f"{thing.get('subtype', '')} {thing.get('name', '')}".lower()
     spots = list(_repeated(thing)) or [(_number(thing, "s"), _number(thing, "t"))]
-    if kind == "barrier":
+    if kind in ("barrier", "railing", "soundbarrier"):
+        name = f"{kind} {name}".replace("soundbarrier", "wall")
         words = [word for word in _BARRIERS if word in name]
         sort = f"barrier.{_BARRIERS[words[0]] if words else 'guard_rail'}"
         if len(spots) > 1:
