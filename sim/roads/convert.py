@@ -14,10 +14,10 @@ from typing import Literal, Self
 from sim.errors import ScenarioError, complaint
 from sim.reading import check_regular, parsing
 from sim.roads import kerbside, rounding
-from sim.roads.xodr import OpenDrive
 from sim.roads.osm import in_order, keeps_left
 from sim.roads.pbf import MOST_BYTES, pbf_to_xml
 from sim.roads.tools import Option, drop_header, run_tool, sumo_home
+from sim.roads.xodr import OpenDriveMap
 
 log = logging.getLogger(__name__)
 
@@ -161,7 +161,7 @@ def _from_opendrive(source: Path, folder: Path, work: Path, side: TrafficSide) -
     net, plain = folder / "map.net.xml", work / "map.xodr"
     options = _FROM_OPENDRIVE | {"type-files": _type_maps(*_OPENDRIVE_TYPES), "output-file": str(net)}
     try:
-        drive = OpenDrive(source)
+        drive = OpenDriveMap(source)
     except ET.ParseError:
         run_tool("netconvert", options | {"opendrive-files": str(source)}, net, str(source))
         return

@@ -106,7 +106,7 @@ class OpenDrive:
             root = ET.fromstring(content)
             if root.tag != "OpenDRIVE":
                 raise DataError(complaint(path, "root", "<OpenDRIVE>", f"<{root.tag}>"))
-            self.roads = {one.get("id", ""): _road(path, one) for one in root.findall("road")}
+            self.roads = {one.get("id", ""): read_road(path, one) for one in root.findall("road")}
 
     def place(self, field: str, at: LanePlace) -> tuple[float, float, float, float]:
         """Return x, y, z, m, and the heading of a lane's traffic at a place; right-hand lanes run with the road.
@@ -177,7 +177,12 @@ def _number(path: Path, field: str, element: ET.Element, name: str) -> float:
     return value
 
 
-def _road(path: Path, road: ET.Element) -> Road:
+def read_road(path: Path, road: ET.Element) -> Road:
+    """Return a road of a file.
+
+    Raises:
+        DataError: the file is wrong; names the road.
+    """
     field = f"road {road.get('id')}"
     length = _number(path, field, road, "length")
     rows = [_geometry(path, field, one) for one in road.findall("planView/geometry")]

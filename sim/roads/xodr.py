@@ -1,6 +1,6 @@
 """OpenDRIVE as netconvert can read it, and the objects beside its roads.
 
-After ASAM OpenDRIVE 1.8, sections 9 (geometry), 10.2 (rule of traffic) and 13 (objects). netconvert 1.28 knows neither
+After ASAM OpenDRIVE 1.8, sections 10.2 (rule of traffic) and 13 (objects). netconvert 1.28 knows neither
 left-hand rules nor namespaces, and refuses a whole map for one odd attribute.
 """
 
@@ -13,25 +13,34 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from sim.errors import ScenarioError, UserError
+from sim.errors import DataError, ScenarioError, UserError, complaint
 from sim.geometry import Array
 from sim.reading import read_bytes
+from sim.roads.opendrive import Road, read_road
 
 _AT_FAULT = re.compile(r"Attribute '(\w+)'.*?in definition of (?:an? )?(\w+)(?: '([^']*)')?")
 _MAY_GO = ("signal", "signalReference", "object", "objectReference", "controller", "connection", "control", "outline")
 """Elements that a map is read without."""
 
 
-class OpenDrive:
+class OpenDriveMap:
     """OpenDRIVE file as an element tree without namespaces.
 
     Attributes:
         root: its `OpenDRIVE` element.
         left_hand: most of its roads have the rule LHT.
+
+    Raises:
+        ParseError: the file is not XML.
+        ScenarioError: the file is missing or has entities.
     """
 
     def __init__(self, source: Path) -> None:
-        self.root = ET.fromstring(read_bytes(source, ".xodr file", ScenarioError))
+        self._source = source
+        content = read_bytes(source, ".xodr file", ScenarioError)
+        if b"<!ENTITY" in content:
+            raise ScenarioError(complaint(source, "map", "no entities", "<!ENTITY"))
+        self.root = ET.fromstring(content)
         for element in self.root.iter():
             element.tag = element.tag.rpartition("}")[2]
         rules = [road.get("rule", "RHT") for road in self.root.iter("road")]
@@ -80,7 +89,10 @@ class OpenDrive:
         """
         rows: list[str] = []
         for road in self.root.iter("road"):
-            line = _ReferenceLine(road)
+            try:
+                line = read_road(self._source, road)
+            except DataError:  # netconvert has read what it could of it
+                continue
             for thing in road.iterfind("objects/object"):
                 try:
                     rows += [
@@ -114,50 +126,6 @@ def _negate(element: ET.Element, *names: str) -> None:
             element.set(name, str(-int(text)))
 
 
-class _ReferenceLine:
-    """Reference line of a road: position and heading at a distance along it."""
-
-    def __init__(self, road: ET.Element) -> None:
-        self._pieces = sorted(road.iterfind("planView/geometry"), key=lambda piece: _number(piece, "s"))
-        self._starts = np.array([_number(piece, "s") for piece in self._pieces])
-
-    def at(self, s: float) -> tuple[float, float, float]:
-        """Return x, y, m, and heading, rad, at a distance along the road, m."""
-        if not self._pieces:
-            raise ValueError("no geometry")
-        piece = self._pieces[max(int(np.searchsorted(self._starts, s, side="right")) - 1, 0)]
-        along = min(max(s - _number(piece, "s"), 0.0), _number(piece, "length"))
-        u, v, turned = _within(piece, along)
-        heading = _number(piece, "hdg")
-        c, n = math.cos(heading), math.sin(heading)
-        return _number(piece, "x") + c * u - n * v, _number(piece, "y") + n * u + c * v, heading + turned
-
-
-def _within(piece: ET.Element, along: float) -> tuple[float, float, float]:
-    """Return the position within a piece of geometry and the turn since its start."""
-    shape = next(iter(piece), None)
-    kind = "line" if shape is None else shape.tag
-    if shape is None or kind == "line":
-        return along, 0.0, 0.0
-    if kind in ("arc", "spiral"):
-        start = _number(shape, "curvature" if kind == "arc" else "curvStart")
-        rate = 0.0 if kind == "arc" else (_number(shape, "curvEnd") - start) / max(_number(piece, "length"), 1e-9)
-        at = np.linspace(0.0, along, 2 + int(along))
-        turned = start * at + 0.5 * rate * at**2
-        return float(np.trapezoid(np.cos(turned), at)), float(np.trapezoid(np.sin(turned), at)), float(turned[-1])
-    if kind == "paramPoly3":
-        p = along / max(_number(piece, "length"), 1e-9) if shape.get("pRange") != "arcLength" else along
-        (u, du), (v, dv) = (_cubic([_number(shape, f"{k}{axis}") for k in "abcd"], p) for axis in "UV")
-        return u, v, math.atan2(dv, du)
-    v, slope = _cubic([_number(shape, k) for k in "abcd"], along)
-    return along, v, math.atan(slope)
-
-
-def _cubic(terms: list[float], p: float) -> tuple[float, float]:
-    a, b, c, d = terms
-    return a + b * p + c * p * p + d * p**3, b + 2.0 * c * p + 3.0 * d * p * p
-
-
 def _number(element: ET.Element, name: str) -> float:
     value = float(element.get(name, "0") or "0")
     if not math.isfinite(value):
@@ -171,7 +139,7 @@ _LAMPS = ("lamp", "lantern", "light")
 _BARRIERS = {"fence": "fence", "wall": "wall", "hedge": "hedge", "railing": "guard_rail", "guard": "guard_rail"}
 
 
-def _placed(thing: ET.Element, line: _ReferenceLine, offset: tuple[float, float]) -> Iterator[tuple[str, Array]]:
+def _placed(thing: ET.Element, line: Road, offset: tuple[float, float]) -> Iterator[tuple[str, Array]]:
     """Yield (kind of a .poly.xml, (K, 2) corners or (1, 2) place) of an object and its repetitions."""
     kind, name = thing.get("type", "").lower(), f"{thing.get('subtype', '')} {thing.get('name', '')}".lower()
     spots = list(_repeated(thing)) or [(_number(thing, "s"), _number(thing, "t"))]
@@ -205,12 +173,12 @@ def _repeated(thing: ET.Element) -> Iterator[tuple[float, float]]:
             yield start + share * length, low + share * (high - low)
 
 
-def _beside(line: _ReferenceLine, s: float, t: float, offset: tuple[float, float]) -> Array:
-    x, y, heading = line.at(s)
-    return np.array([x - t * math.sin(heading) + offset[0], y + t * math.cos(heading) + offset[1]])
+def _beside(line: Road, s: float, t: float, offset: tuple[float, float]) -> Array:
+    x, y, _, _ = line.at(s, t)
+    return np.array([x + offset[0], y + offset[1]])
 
 
-def _outline(thing: ET.Element, line: _ReferenceLine, s: float, t: float, offset: tuple[float, float]) -> Array | None:
+def _outline(thing: ET.Element, line: Road, s: float, t: float, offset: tuple[float, float]) -> Array | None:
     """Return the (K, 2) first outline of an object; None without one."""
     outline = next(thing.iter("outline"), None)
     corners = [] if outline is None else list(outline)
@@ -221,17 +189,15 @@ def _outline(thing: ET.Element, line: _ReferenceLine, s: float, t: float, offset
     return _turned(thing, line, s, t, offset, local) if len(local) > 1 else None
 
 
-def _box(thing: ET.Element, line: _ReferenceLine, s: float, t: float, offset: tuple[float, float]) -> Array:
+def _box(thing: ET.Element, line: Road, s: float, t: float, offset: tuple[float, float]) -> Array:
     """Return the (4, 2) corners of the box of an object, along its length first."""
     half = 0.5 * np.array([_number(thing, "length"), _number(thing, "width")]) + _number(thing, "radius")
     corners = half * [[-1, -1], [1, -1], [1, 1], [-1, 1]]
     return _turned(thing, line, s, t, offset, corners)
 
 
-def _turned(
-    thing: ET.Element, line: _ReferenceLine, s: float, t: float, offset: tuple[float, float], local: Array
-) -> Array:
-    heading = line.at(s)[2] + _number(thing, "hdg")
+def _turned(thing: ET.Element, line: Road, s: float, t: float, offset: tuple[float, float], local: Array) -> Array:
+    heading = line.at(s, t)[3] + _number(thing, "hdg")
     ahead = np.array([math.cos(heading), math.sin(heading)])
     return _beside(line, s, t, offset) + local[:, :1] * ahead + local[:, 1:] * [-ahead[1], ahead[0]]
 
