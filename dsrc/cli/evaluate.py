@@ -5,7 +5,7 @@ from pathlib import Path
 
 from dsrc.cli.progress import made, progress
 from dsrc.cli.toml_files import require_kind
-from dsrc.options.detection import BenchmarkOptions, Detection, Device, Engine, Evaluation, Scoring, Sharing
+from dsrc.options.detection import BenchmarkOptions, Detection, Device, Engine, Evaluation, Scoring, Sharing, Stressing
 from dsrc.options.fields import File, Folder, Output
 from dsrc.runs.executors import Pool
 
@@ -117,6 +117,56 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
             publish(sections, self.out, self.docs, plan.name, RESULTS)
             places.insert(0, self.docs)
         made(places, "tables, plots and all detections", "score", self.out)
+
+
+class StressTest(Stressing, frozen=True, kw_only=True):
+    """Tell what breaks a detector: every corruption, severity and group of agents, ranked.
+
+    Examples:
+        dsrc stress detector.pt --quick
+        dsrc stress my_module:Detector data/test --corruption fog snow --fail-under 0.4 --junit stress.xml
+
+    Attributes:
+        fail_under: least AP at a bird's-eye IoU of 0.5, 0 to 1: exit with 1 where a condition is below; default: none.
+        junit: JUnit's XML, a test case for each condition; default: none.
+        pages: write review pages of the ten worst frames.
+    """
+
+    fail_under: float | None = None
+    junit: File | None = None
+    pages: bool = True
+    pool: Pool = Pool()
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Stress, write and print the tables; exit with 1 where a condition fails."""
+        from msgspec.structs import replace
+        from rich.console import Console
+
+        from dsrc.cli.demo import SCENARIO, TEST_SEED
+        from dsrc.data.write import generate
+        from dsrc.evaluation.stress import fails, junit, stress, stress_table, worst_pages, worst_table
+        from sim.files import check_apart, write_file
+
+        config = self
+        if self.data is None:
+            drive = self.out / "drives" / "demo"
+            with progress(f"generate {drive}") as report:
+                generate(SCENARIO, drive, frames=12, seed=TEST_SEED, interval_s=1.0, progress=report)
+            config = replace(self, data=drive)
+        else:
+            check_apart(self.out, self.data)
+        with progress(f"stress {self.detector}") as report:
+            found = stress(config, self.pool, report)
+        console = Console(highlight=False)
+        console.print(stress_table(found), *([worst_table(found)] if found.worst else []), sep="\n")
+        if self.junit is not None:
+            write_file(self.junit, junit(found, self.fail_under))
+        pages = worst_pages(self.out, found) if self.pages else []
+        made([self.out, *pages], "tables, curves and worst frames", "view", self.out)
+        if failed := [row for row in found.rows if fails(row, self.fail_under)]:
+            sys.stderr.write(f"{len(failed)} of {len(found.rows)} conditions are below AP {self.fail_under:g}\n")
+            raise SystemExit(1)
 
 
 class Shares(Sharing, frozen=True, kw_only=True):

@@ -38,6 +38,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     "detect": "evaluate.Detect",
     "evaluate": "evaluate.Evaluate",
     "benchmark": "evaluate.Benchmark",
+    "stress": "evaluate.StressTest",
     "shares": "evaluate.Shares",
     "score": "evaluate.Score",
     "realism": "dataset.Realism",

@@ -115,6 +115,43 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True):
     device: Device = "cpu"
 
 
+class Stressing(msgspec.Struct, frozen=True, kw_only=True):
+    """Options of a stress test.
+
+    Attributes:
+        detector: detector, as --checkpoint of dsrc evaluate takes it.
+        data: a drive, or a folder of drives; default: the demo's test drive, generated beside the results.
+        out: folder of tables, curves, the worst frames and cached cells, which dsrc view opens; an interrupted test
+            resumes.
+        corruption: kinds of corruption.
+        severity: severities of each, 1 to 5.
+        corrupted_agents: groups of agents whose sweeps are corrupted, each by itself.
+        family: models of the corruptions.
+        share: share of the clean average precision below which a severity is critical.
+        quick: 12 frames and severities 1, 3 and 5.
+        frames: frames to evaluate, evenly spread; default: all.
+        height: ground under the clouds, see dsrc detect.
+        seed: seed of the corruptions.
+        engine: execution of the network, see dsrc evaluate.
+        device: device of the network.
+    """
+
+    detector: Positional[Annotated[str, arg(metavar="DETECTOR")]]
+    data: Positional[Annotated[Path | None, arg(metavar="DATA")]] = None
+    out: Folder = Path("stress")
+    corruption: Kinds = ("all",)
+    severity: tuple[int, ...] = (1, 2, 3, 4, 5)
+    corrupted_agents: Annotated[tuple[str, ...], Meta(min_length=1)] = ("all", "ego", "helpers")
+    family: Family = "physical"
+    share: float = 0.5
+    quick: bool = False
+    frames: int | None = None
+    height: Annotated[str, arg(metavar="{recorded,auto,METRES}")] = "recorded"
+    seed: int = 0
+    engine: Engine = "fused"
+    device: Device = "cpu"
+
+
 class Sharing(Disturbed, frozen=True, kw_only=True):
     """Options of the shares of agents in detections.
 

@@ -1,0 +1,114 @@
+"""A stress test ranks what breaks a detector, names critical severities and worst frames, and fails for CI."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from dsrc.evaluation.evaluate import evaluate_drives
+from dsrc.evaluation.results import find_row
+from dsrc.evaluation.stored import read_index
+from dsrc.evaluation.stress import Stress, StressRow, junit, stress, stress_table, worst_pages
+from dsrc.options.detection import Evaluation, Stressing
+from sim.errors import SettingsError
+from tests.commands import dsrc
+from tests.dsrc.evaluation.small import write_detector, write_drives
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("stress")
+    write_drives(root / "data", drives=2)
+    write_detector(root / "small.pt", "attfuse")
+    return root
+
+
+def config_of(world: Path, out: str = "out", **settings: object) -> Stressing:
+    given = {"corruption": ("point_dropping", "pose_error"), "severity": (1, 5), **settings}
+    return Stressing(detector=str(world / "small.pt"), data=world / "data", out=world / out, **given)
+
+
+@pytest.fixture(scope="module")
+def found(world: Path) -> Stress:
+    return stress(config_of(world))
+
+
+def row(kind: str, severity: int, ap: float, who: str = "all") -> StressRow:
+    return StressRow(kind, who, severity, ap, ap - 0.1, ap + 0.1, 0.5, 0.1, ())
+
+
+def test_every_condition_has_a_row_and_the_numbers_of_an_evaluation(found: Stress, world: Path) -> None:
+    conditions = {(one.corruption, one.who, one.severity) for one in found.rows}
+    groups = {("point_dropping", who) for who in ("all", "ego", "helpers")}
+    groups |= {("pose_error", who) for who in ("all", "helpers")}  # an ego has no error relative to itself
+    assert conditions == {("clean", "", 0)} | {(kind, who, level) for kind, who in groups for level in (1, 5)}
+    rows = evaluate_drives(
+        Evaluation(
+            checkpoint=(str(world / "small.pt"),),
+            data=world / "data",
+            out=world / "evaluated",
+            corruption=("point_dropping",),
+            severity=5,
+            ego_alone=False,
+        )
+    )
+    for kind in ("clean", "point_dropping"):
+        mine = next(one for one in found.rows if (one.corruption, one.who, one.severity) in
+                    ((kind, "", 0), (kind, "all", 5)))  # fmt: skip
+        assert mine.ap == find_row(rows, "small", kind).metrics["ap_bev_50"]
+        assert mine.low <= mine.ap <= mine.high and 0 <= mine.calibration_error <= 1
+
+
+def test_the_folder_opens_and_a_second_run_computes_nothing(found: Stress, world: Path) -> None:
+    assert len(read_index(world / "out").runs) == len(found.rows)
+    assert {"results.json", "stress.csv", "stress.md", "stress.png"} <= {
+        path.name for path in (world / "out").iterdir()
+    }
+    steps: list[int] = []
+    again = stress(config_of(world), progress=lambda done, of: steps.append(of))
+    assert not any(steps) and again.rows == found.rows and again.worst == found.worst
+
+
+def test_worst_frames_lose_most_and_have_a_page(found: Stress, world: Path) -> None:
+    assert found.worst and [one.harm for one in found.worst] == sorted((one.harm for one in found.worst), reverse=True)
+    assert len({(one.drive, one.position) for one in found.worst}) == len(found.worst)
+    pages = worst_pages(world / "out", found)
+    assert pages and all(b"__REVIEW__" in page.read_bytes() for page in pages)
+
+
+def test_the_critical_severity_is_the_least_below_the_share_of_clean() -> None:
+    rows = (
+        row("clean", 0, 0.8, ""),
+        *(row("fog", level, ap) for level, ap in ((1, 0.7), (2, 0.5), (3, 0.3), (4, 0.5))),
+    )
+    found = Stress("x", (*rows, row("snow", 1, 0.1), row("rain", 1, 0.79)), (), 0.5, {})
+    assert {kind: found.critical(own) for (kind, _), own in found.curves().items()} == {
+        "snow": 1,
+        "fog": 3,
+        "rain": None,
+    }
+    assert [line.label for line in stress_table(found).rows] == ["clean", "snow", "fog", "rain"]
+
+
+def test_junit_names_what_failed() -> None:
+    found = Stress("x", (row("clean", 0, 0.8, ""), row("fog", 3, 0.3), row("snow", 3, float("nan"))), (), 0.5, {})
+    suite = ElementTree.fromstring(junit(found, 0.4))
+    assert (suite.get("tests"), suite.get("failures")) == ("3", "2")
+    names: Iterator[str] = (case.get("name", "") for case in suite if case.find("failure") is not None)
+    assert list(names) == ["fog 3 all", "snow 3 all"]
+    assert ElementTree.fromstring(junit(found, None)).get("failures") == "0"
+
+
+def test_the_command_exits_with_1_below_the_bound(found: Stress, world: Path) -> None:
+    words = ["stress", str(world / "small.pt"), str(world / "data"), "--out", str(world / "out"), "--no-pages"]
+    words += ["--corruption", "point_dropping", "pose_error", "--severity", "1", "5", "--workers", "1"]
+    bad = dsrc(*words, "--fail-under", "1.1", "--junit", str(world / "stress.xml"))
+    assert bad.returncode == 1 and "conditions are below AP 1.1" in bad.stderr
+    assert dsrc(*words, "--fail-under", "0", "--junit", str(world / "stress.xml")).returncode == 0
+
+
+def test_settings_out_of_range_are_refused(world: Path) -> None:
+    with pytest.raises(SettingsError, match=r"stress: share: expected more than 0, less than 1, found 1\.5"):
+        stress(config_of(world, "x", share=1.5))
+    assert not (world / "x").exists()
