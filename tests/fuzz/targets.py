@@ -38,6 +38,7 @@ from tests.dsrc.data import dair_tree
 from tests.dsrc.data.toy import SETTINGS, ToySource, toy_frame
 from tests.fuzz.foreign import foreign_targets
 from tests.fuzz.learned import learned_targets
+from tests.fuzz.sweeps import sweep_targets
 from tests.fuzz.target import Target
 from tests.paths import ROOT
 from tests.sim.catalog.test_import_map import packed_file, town
@@ -96,6 +97,7 @@ def targets(folder: Path) -> list[Target]:
         *_meshes(folder),
         *learned_targets(folder),
         *foreign_targets(folder),
+        *sweep_targets(folder),
     ]
 
 

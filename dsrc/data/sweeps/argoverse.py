@@ -170,6 +170,7 @@ def _columns(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     content = read_bytes(path, "feather file")
     with parsing(path, "feather file"):
         table = feather.read_table(BufferReader(content))
+        table.validate(full=True)  # arrow trusts offsets, and would read beyond its buffers
         missing = [name for name in names if name not in table.column_names]
         if missing:
             raise DataError(complaint(path, "columns", missing[0], ", ".join(table.column_names[:12])))
