@@ -63,6 +63,9 @@ def candidate_routes(net: Network, vclass: str, area: Area | None, focus: tuple[
     edges.sort(key=lambda e: e.getID())
     rows = {e.getID(): row for row, e in enumerate(edges)}
     links = [(rows[a.getID()], rows[b.getID()]) for a in edges for b in _next(a, vclass) if b.getID() in rows]
+    if not links:  # the two halves of a ring
+        halves = ((a.getID(), b.getID()) for a in edges for b in _next(a, vclass, back=True))
+        links = [(rows[a], rows[b]) for a, b in halves if b in rows]
     followed, preceded = {a for a, _ in links}, {b for _, b in links}
     origins = [row for row in range(len(edges)) if row not in preceded and row in followed]
     goals = [row for row in range(len(edges)) if row not in followed and row in preceded]
@@ -183,12 +186,15 @@ def _near(edge: Edge, area: Area | None, margin: float) -> bool:
     return bool(zone.intersects(LineString([p[:2] for p in edge.getShape()])))
 
 
-def _next(edge: Edge, vclass: str) -> Iterator[Edge]:
-    """Yield the successors of an edge for a vehicle class, without U-turns."""
+def _next(edge: Edge, vclass: str, *, back: bool = False) -> Iterator[Edge]:
+    """Yield the successors of an edge for a vehicle class, without U-turns.
+
+    Args:
+        back: successors that lead back to where the edge begins count too, unless SUMO calls the link a turn.
+    """
     for other, connections in edge.getOutgoing().items():
         turns_back = edge.getFromNode() is other.getToNode() and edge.getToNode() is other.getFromNode()
-        # Half of a ring leads to the other half, between the same two nodes.
-        links = [c for c in connections if not (turns_back and c.getDirection() in _TURNAROUNDS)]
+        links = [c for c in connections if not turns_back or (back and c.getDirection() not in _TURNAROUNDS)]
         if any(c.getFromLane().allows(vclass) and c.getToLane().allows(vclass) for c in links):
             yield other
 
