@@ -1,5 +1,7 @@
 """SUMO traffic in process: the only module that imports libsumo."""
 
+import contextlib
+import sys
 import tempfile
 import threading
 from dataclasses import dataclass
@@ -194,7 +196,9 @@ class SumoTraffic(DrivableTraffic):
         return name
 
     def _start(self, scenario: Scenario, network: Path) -> None:
-        import libsumo
+        # Beside pyarrow it prints a warning, which is no result of a command.
+        with contextlib.redirect_stdout(sys.stderr):
+            import libsumo
 
         self._sumo: Any = libsumo
         self._paths = LanePaths(libsumo)

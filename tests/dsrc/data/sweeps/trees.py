@@ -147,7 +147,7 @@ def _add_pose(table: dict[str, list], pose: NDArray[np.float64]) -> None:
 
 
 def nuscenes(folder: Path) -> Path:
-    """Tables of nuScenes by hand, after docs/schema_nuscenes.md of nuscenes-devkit, which reads them in the tests."""
+    """Tables of nuScenes by hand, after docs/schema_nuscenes.md of nuscenes-devkit."""
     version = folder / "v1.0-mini"
     version.mkdir(parents=True)
     (folder / "samples" / "LIDAR_TOP").mkdir(parents=True)

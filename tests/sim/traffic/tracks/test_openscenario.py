@@ -199,7 +199,7 @@ def test_what_is_not_played_is_named(tmp_path: Path) -> None:
     entities = xosc.Entities().add_scenario_object("a", vehicle("a"))
     roads = xosc.RoadNetwork(roadfile="road.xodr")
     xosc.Scenario("s", "a", xosc.ParameterDeclarations(), entities, story, roads, xosc.Catalog()).write_xml(str(path))
-    with pytest.raises(DataError, match="StartTrigger of event 'cut in'.*found TimeHeadwayCondition"):
+    with pytest.raises(DataError, match=r"StartTrigger of event 'cut in'.*found TimeHeadwayCondition"):
         read_tracks(path)
     (tmp_path / "road.xodr").unlink()
     refused({"a": [place]}, [], "file not found")
