@@ -19,6 +19,7 @@ def sweep_targets(folder: Path) -> list[Target]:
         ("KITTI tracking", trees.kitti_tracking, "numpy"),
         ("SemanticKITTI", trees.semantic_kitti, "numpy"),
         ("nuScenes", trees.nuscenes, "numpy"),
+        ("OpenLABEL", trees.openlabel, "numpy"),
         ("folder of scans", trees.scans, "numpy"),
         ("Argoverse 2", trees.argoverse, "pyarrow"),
         ("bag", trees.rosbag, "rosbags"),

@@ -21,6 +21,7 @@ from dsrc.data.sweeps.kitti import KittiObject
 from dsrc.data.sweeps.kitti_sequences import KittiTracking, SemanticKitti
 from dsrc.data.sweeps.layout import Labels, Layout
 from dsrc.data.sweeps.nuscenes import NuScenes
+from dsrc.data.sweeps.openlabel import OpenLabel
 from dsrc.data.sweeps.scans import Scans
 from dsrc.data.velocity_from_tracks import LONGEST_GAP_S, TimedBoxes, tracked_velocity
 from sensors.deskew import check_motion
@@ -35,6 +36,7 @@ LAYOUTS: tuple[type[Layout], ...] = (
     SemanticKitti,
     NuScenes,
     Argoverse,
+    OpenLabel,
     Bag,
     Scans,
 )

@@ -113,7 +113,17 @@ class Scans(Layout):
 
     def sweeps(self, i: int) -> list[Sweep]:
         """Return the sweep of a scan."""
-        path = self._scans[self.frames[i]]
+        return [self.sweep(self._scans[self.frames[i]], self.poses(i)[0], self.time_s(i))]
+
+    def sweep(self, path: Path, world_from_lidar: NDArray[np.float64], time_s: float) -> Sweep:
+        """Return the sweep of one of the folder's files, read as the folder's settings say.
+
+        Args:
+            world_from_lidar: (4, 4).
+
+        Raises:
+            DataError: the file is damaged or does not fit the settings.
+        """
         scan = read_scan(path, self._columns, self._scale())
         sensor = self._sensor or scan.sensor
         try:
@@ -121,9 +131,8 @@ class Scans(Layout):
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
         ids = np.full(len(sweep), STATIC, np.int32)
-        pose = self.poses(i)[0]
         intensity = np.minimum(sweep.intensity, np.float32(1.0))
-        return [replace(sweep, object_id=ids, time_s=self.time_s(i), world_from_lidar=pose, intensity=intensity)]
+        return replace(sweep, object_id=ids, time_s=time_s, world_from_lidar=world_from_lidar, intensity=intensity)
 
     def poses(self, i: int) -> list[NDArray[np.float64]]:
         """Return the pose of the sensor: above the ground at the origin."""

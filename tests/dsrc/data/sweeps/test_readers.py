@@ -1,13 +1,16 @@
 """Every layout gives the scene that its files hold."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from dsrc.data.datasets.check import check_dataset
 from dsrc.data.drives import Drive, find_drives, open_drive, open_drives
+from sim.errors import DataError
 from tests.dsrc.data.sweeps import trees
 from tests.dsrc.data.sweeps.scene import FRAMES, INTERVAL_S, SPEED_MPS, instant
 
@@ -107,6 +110,112 @@ def test_bags(tmp_path: Path, storage: str) -> None:
         assert np.abs(rear.world_points - top.world_points).max() < 1e-4
         assert frame.time_s == pytest.approx(now.time_s)
         assert frame.agents[1].speed == pytest.approx(SPEED_MPS)
+
+
+def test_openlabel(tmp_path: Path) -> None:
+    drive = opened(trees.openlabel, tmp_path)
+    assert drive.drive.parent == tmp_path / "train"
+    assert drive.agents == (0, -1)
+    for i in range(FRAMES):
+        frame, now = drive.read(i), instant(i)
+        assert [agent.kind for agent in frame.agents] == ["vehicle", "roadside"]
+        vehicle, road = (agent.sweep for agent in frame.agents)
+        assert np.abs(vehicle.world_from_lidar - now.world_from_lidar).max() < 1e-9
+        assert np.array_equal(vehicle.points, now.points[:, :3])
+        assert np.array_equal(vehicle.intensity, now.points[:, 3])
+        assert np.abs(road.world_points - vehicle.world_points).max() < 1e-4
+        assert np.abs(frame.truth.array - now.boxes.array).max() < 1e-9
+        assert frame.truth.label.tolist() == now.boxes.label.tolist()
+        assert frame.truth.object_id.tolist() == [1, 2]
+        assert frame.time_s == pytest.approx(now.time_s, abs=1e-6)
+        assert frame.agents[0].speed == pytest.approx(SPEED_MPS, abs=1e-3)
+        assert np.linalg.norm(frame.velocity[0]) == pytest.approx(SPEED_MPS, abs=1e-3)
+        assert (frame.points_on >= 100).all()
+
+
+def test_openlabel_of_a_merged_cloud_alone_has_one_agent_where_its_labels_are(tmp_path: Path) -> None:
+    trees.openlabel(tmp_path, merged_only=True)
+    (drive,) = open_drives(tmp_path)
+    assert drive.agents == (-1,)
+    assert (drive.read(0).points_on >= 200).all()
+
+
+def label_files(tree: Path) -> list[Path]:
+    return sorted(tree.glob("train/labels_point_clouds/*/*.json"))
+
+
+def test_openlabel_of_many_frames_in_one_file_as_the_standard_has_them(tmp_path: Path) -> None:
+    """Classes in `objects` of the file, cuboids in lists with Euler angles, a type that is no road user."""
+    trees.openlabel(tmp_path)
+    before = [open_drives(tmp_path)[0].read(i) for i in range(FRAMES)]
+    frames, objects = {}, {}
+    for k, file in enumerate(label_files(tmp_path)):
+        content = json.loads(file.read_text())["openlabel"]
+        (frame,) = content["frames"].values()
+        frames[str(10 + k)] = frame
+        for name, one in frame["objects"].items():
+            data = one["object_data"]
+            objects[name] = {"name": data.pop("name"), "type": data.pop("type").capitalize()}
+            x, y, z, *turn, length, width, height = data["cuboid"]["val"]
+            angles = Rotation.from_quat(turn).as_euler("xyz").tolist()
+            data["cuboid"] = [{"name": "shape", "val": [x, y, z, *angles, length, width, height]}]
+        frame["objects"]["tree"] = {"object_data": {"cuboid": [{"name": "shape", "val": [1.0] * 9}]}}
+        objects["tree"] = {"name": "tree", "type": "Tree"}
+        file.unlink()
+    content["frames"], content["objects"] = frames, objects
+    file.with_name("all.json").write_text(json.dumps({"openlabel": content}))
+    (drive,) = open_drives(tmp_path)
+    assert drive.frames == (10, 11, 12)
+    for i in range(FRAMES):
+        assert np.abs(drive.read(i).truth.array - before[i].truth.array).max() < 1e-9
+        assert drive.read(i).truth.label.tolist() == before[i].truth.label.tolist()
+
+
+def test_openlabel_of_a_trailer_is_neither_found_nor_missed(tmp_path: Path) -> None:
+    trees.openlabel(tmp_path)
+    for file in label_files(tmp_path):
+        file.write_text(file.read_text().replace('"CAR"', '"TRAILER"'))
+    frame = open_drives(tmp_path)[0].read(0)
+    assert len(frame.truth) == 1
+    assert frame.region is not None
+    assert len(frame.region.ignored) == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"val": [', '"val": [1.0, ', r"\.cuboid\.val: expected x, y, z, a quaternion .*, found 11 numbers"),
+        ('"val": [', '"val": ["x", ', r"objects\[\.\.\.\].*val.*: expected float, found str"),
+        ('"frames": {"0"', '"frames": {"first"', r"openlabel\.frames: expected whole numbers as names, found first"),
+        ('"src": "vehicle_lidar_robosense"', '"src": 3', r"src: expected str, found int"),
+        ('"parent": ""', '"parent": "s110_base", "pose_wrt_parent": {"matrix4x4": [1]}', "matrix4x4 of 16 numbers"),
+        (
+            '"parent": ""',
+            '"parent": "s110_base", "pose_wrt_parent": POSE',
+            "parents that end in a root, found a circle",
+        ),
+        (
+            '"cuboid": {',
+            '"cuboid": {"coordinate_system": "moon", ',
+            r"coordinate_system: expected one of .*, found moon",
+        ),
+        (".pcd", ".PCD", r"point_cloud_file_names: expected a file in point_clouds, found "),
+    ],
+)
+def test_a_damaged_openlabel_file_is_one_line_with_file_and_field(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    trees.openlabel(tmp_path)
+    file = label_files(tmp_path)[0]
+    pose = '{"quaternion": [0, 0, 0, 1], "translation": [0, 0, 0]}'
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new.replace("POSE", pose)))
+    if old == ".pcd":
+        file = file.rename(file.with_name("other.json"))
+    with pytest.raises(DataError, match=message) as caught:
+        [drive.read(0) for drive in open_drives(tmp_path)]
+    assert file.name in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_folder_of_scans(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ FORMATS: dict[str, tuple[Callable[[Path], Path], str | None]] = {
     "SemanticKITTI": (trees.semantic_kitti, None),
     "nuScenes": (trees.nuscenes, None),
     "Argoverse 2": (trees.argoverse, "pyarrow"),
+    "OpenLABEL": (trees.openlabel, None),
     "bag": (trees.rosbag, "rosbags"),
     "folder of scans": (trees.scans, None),
 }

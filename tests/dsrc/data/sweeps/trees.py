@@ -374,3 +374,90 @@ def semantic_kitti(folder: Path) -> Path:
     text = "".join(f"P{k}: {numbers(P2)}\n" for k in range(4)) + f"Tr: {numbers(CAMERA_FROM_VELO)}\n"
     (sequence / "calib.txt").write_text(text)
     return folder
+
+
+def openlabel(folder: Path, merged_only: bool = False) -> Path:
+    """Split of TUMTraf V2X by hand: a vehicle's LiDAR, one at the road, and the cloud that was merged of theirs.
+
+    After the JSON schema of ASAM OpenLABEL 1.0.0 (`coordinate_systems`, `frames`, `frame_properties`, `cuboid`); names
+    and places of fields after the TUM Traffic dataset development kit, whose transform of the LiDAR at the road to its
+    base is the inverse of that in `coordinate_systems`. Labels are in the frame of the LiDAR at the road.
+    """
+    road, vehicle = "s110_lidar_ouster_south", "vehicle_lidar_robosense"
+    merged = f"{road}_and_{vehicle}_registered"
+    split = folder / "train"
+    for name in (road, vehicle, merged):
+        (split / "point_clouds" / name).mkdir(parents=True)
+    (split / "labels_point_clouds" / merged).mkdir(parents=True)
+    world_from_base, base_from_road = pose_matrix([90.0, 40.0, 0.0], 0.7), pose_matrix([-1.5, 2.0, 7.48], 1.3)
+    world_from_road = world_from_base @ base_from_road
+    systems = {
+        "hd_map_origin": {"type": "scene_cs", "parent": "", "children": ["s110_base"]},
+        "s110_base": {
+            "type": "scene_cs",
+            "parent": "hd_map_origin",
+            "children": [road],
+            "pose_wrt_parent": {"matrix4x4": world_from_base.ravel().tolist()},
+        },
+        road: {
+            "type": "sensor_cs",
+            "parent": "s110_base",
+            "children": [],
+            "pose_wrt_parent": {"matrix4x4": base_from_road.ravel().tolist()},
+        },
+    }
+    for index in range(FRAMES):
+        now, nanoseconds = instant(index), 146_525_143 + index * 100_000_000
+        names = {name: f"1688625741_{nanoseconds}_{name}.pcd" for name in (road, vehicle, merged)}
+        road_from_vehicle = invert(world_from_road) @ now.world_from_lidar
+        at_road = np.asarray(transform_points(road_from_vehicle, now.points[:, :3].astype(np.float64)))
+        seen = np.column_stack([at_road, now.points[:, 3]]).astype("<f4")
+        clouds = {road: seen, vehicle: now.points, merged: np.concatenate([seen, seen])}
+        for name, points in clouds.items():
+            if name == merged or not merged_only:
+                (split / "point_clouds" / name / names[name]).write_bytes(pcd(points))
+        transforms = {
+            f"{vehicle}_to_{road}": {
+                "src": vehicle,
+                "dst": road,
+                "transform_src_to_dst": {"matrix4x4": road_from_vehicle.tolist()},
+            },
+            f"{road}_to_s110_base": {
+                "src": road,
+                "dst": "s110_base",
+                "transform_src_to_dst": {"matrix4x4": invert(base_from_road).ravel().tolist()},
+            },
+        }
+        objects = {}
+        boxes = now.boxes.transform(invert(world_from_road))
+        for row, (x, y, z, *size, yaw) in enumerate(boxes.array.tolist()):
+            qw, qx, qy, qz = quaternion(pose_matrix([x, y, z], yaw))
+            kind = CLASSES[boxes.label[row]].upper()
+            cuboid = {"name": "shape3D", "val": [x, y, z, qx, qy, qz, qw, *size], "attributes": {"text": [], "num": []}}
+            identity = f"0f6c3a54-0000-4000-8000-{boxes.object_id[row]:012d}"
+            objects[identity] = {"object_data": {"name": f"{kind}_{row}", "type": kind, "cuboid": cuboid}}
+        properties = {
+            "timestamp": 1688625741 + nanoseconds * 1e-9,
+            "image_file_names": [],
+            "point_cloud_file_names": [names[name] for name in (vehicle, road, merged)],
+            "transforms": transforms,
+        }
+        frame = {"frame_properties": properties, "objects": objects}
+        content = {
+            "metadata": {"schema_version": "1.0.0"},
+            "coordinate_systems": systems,
+            "frames": {str(index): frame},
+        }
+        place = split / "labels_point_clouds" / merged / f"{Path(names[merged]).stem}.json"
+        place.write_text(json.dumps({"openlabel": content}))
+    return folder
+
+
+def pcd(points: NDArray[np.float32]) -> bytes:
+    """Binary PCD of (P, 4) x, y, z, intensity, after PCL's documentation of version 0.7."""
+    count = len(points)
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\n"
+        f"COUNT 1 1 1 1\nWIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA binary\n"
+    )
+    return header.encode() + points.astype("<f4").tobytes()
