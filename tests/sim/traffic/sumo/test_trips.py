@@ -24,7 +24,9 @@ def random_trips(net: Path, out: Path, *options: str) -> Path:
     """Write demand by SUMO's randomTrips.py."""
     tool = sumo_tools() / "randomTrips.py"
     command = [sys.executable, str(tool), "-n", str(net), "-o", str(out), "-e", "60", "--seed", "1", *options]
-    subprocess.run(command, check=True, capture_output=True, env=os.environ | {"SUMO_HOME": str(sumo_home())})
+    # With --persons it leaves routes.rou.xml where it runs.
+    environment = os.environ | {"SUMO_HOME": str(sumo_home())}
+    subprocess.run(command, check=True, capture_output=True, env=environment, cwd=out.parent)
     return out
 
 
