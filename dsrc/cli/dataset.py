@@ -109,9 +109,9 @@ class Corrupt(CorruptOptions, frozen=True):
         level = self.preset or f"severity {self.severity or DEFAULT_SEVERITY}"
         with progress(f"corrupt {self.corruption}, {level}") as report:
             written = corrupt_dataset(self, pool=self.pool, progress=report)
-        drives = [path for path in written if path.is_dir()]
-        what = f"{len(written)} {'drive' if drives else 'scan'}{'s' if len(written) > 1 else ''}, {self.corruption}"
-        made(self.out, what, *(("view", self.out) if drives else ()))
+        kind = "drive" if written[0].is_dir() else "scan"
+        what = f"{len(written)} {kind}{'s' if len(written) > 1 else ''}, {self.corruption}"
+        made(self.out, what, *(("view", self.out) if self.out.is_dir() else ()))
 
 
 class Build(BuildOptions, frozen=True):

@@ -213,13 +213,17 @@ def interval_of(reader: Drive) -> float:
     return step if step > 0.0 else _SENSOR_S
 
 
-def frame_positions(readers: Sequence[Drive], limit: int | None) -> list[list[int]]:
+def frame_positions(readers: Sequence[Drive], limit: int | None, judged: bool = True) -> list[list[int]]:
     """Positions of the frames with ground truth in each drive: all, or `limit` of them evenly spread over all drives.
 
+    Args:
+        judged: False takes frames without ground truth too.
+
     Raises:
-        DataError: no drive has a frame with ground truth.
+        DataError: no drive has a frame with ground truth, and they are judged.
     """
-    places = [(k, i) for k, reader in enumerate(readers) for i in labelled_frames(reader)]
+    taken = labelled_frames if judged else lambda reader: range(len(reader))
+    places = [(k, i) for k, reader in enumerate(readers) for i in taken(reader)]
     if not places:
         where = readers[0].drive if readers else "evaluate"
         hint = "; there is nothing to judge: dsrc detect and dsrc view take such drives"

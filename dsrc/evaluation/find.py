@@ -44,7 +44,7 @@ def detect_drives(config: Detection, pool: Pool = SERIAL, progress: Progress | N
         frames=config.frames,
     )
     check(plan, "detect")
-    result = run_plan(plan, config.out, pool, config.device, progress, config.engine)
+    result = run_plan(plan, config.out, pool, config.device, progress, config.engine, judged=False)
     entries = [(entry, result.trained[name][0]) for entry in result.entries]
     write_results(config.out, provenance_of(result), entries)
     write_index(config.out, stored_index(result, entries))

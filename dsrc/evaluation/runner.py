@@ -147,6 +147,7 @@ def run_plan(
     progress: Progress | None = None,
     engine: str = "fused",
     reuse: Iterable[Path] = (),
+    judged: bool = True,
 ) -> BenchmarkResult:
     """Compute the cells missing in `out/cells`, and the rows of all cases.
 
@@ -156,6 +157,7 @@ def run_plan(
         progress: called with detections done and detections missing at the start.
         engine: execution of the networks, one of `dsrc.models.storage.deploy.ENGINES`.
         reuse: folders of earlier results: cells whose settings agree in all but code and versions are taken from them.
+        judged: False takes frames without ground truth too.
 
     Raises:
         UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
@@ -170,7 +172,7 @@ def run_plan(
                 )
     _check_judged_alike(plan, trained)
     datasets = {d.name: [r for folder in d.drives for r in _readers(folder)] for d in plan.datasets}
-    positions = {name: frame_positions(readers, plan.frames) for name, readers in datasets.items()}
+    positions = {name: frame_positions(readers, plan.frames, judged) for name, readers in datasets.items()}
     drives = {name: {str(r.drive): r.digest() for r in readers} for name, readers in datasets.items()}
     cases = cases_of(plan)
     cells = _CellPlanner(plan, device, engine, trained, datasets, positions, drives)

@@ -5,6 +5,7 @@ A drive is a series of frames, see `dsrc.runs.series`. Its protocol is that of i
 drive that another version began is resumed only where it is named in `reuse`.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -39,7 +40,8 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
     """Write the drives or scans at or below a path under a corruption; an interrupted run resumes.
 
     Of drives sweeps, poses and ground truth are written; camera images and further keys of other tools' files are left
-    out. The ground truth and its point counts are those of the source.
+    out. The ground truth and its point counts are those of the source. Of a tree of loose scans these are written, and
+    all else is linked beside them.
 
     Args:
         options: drives, folder, corruption and seed, see `CorruptOptions`; or these as arguments.
@@ -64,7 +66,10 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
         raise SettingsError(complaint("corrupt", "out", f"a place apart from {data}", str(out)))
     drives = [] if is_scan(data) else find_drives(data)
     if not drives or any(map(of_loose_scans, drives)):
-        return corrupt_scans(options, pool, progress)
+        scans = corrupt_scans(options, pool, progress)
+        if drives and data.is_dir():
+            _link_rest(data, out, scans)
+        return scans
     if options.sensor is not None:
         raise SettingsError("corrupt: drives know their LiDARs; leave out --sensor")
     jobs = [CorruptionJob(drive, out / path_below(data, drive), drive.name, options) for drive in drives]
@@ -81,6 +86,21 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
             _series(job, reader, executor.chunk).run(frames, executor, progress, done, total, reuse)
             done += len(reader)
     return [job.out for job in jobs]
+
+
+def _link_rest(data: Path, out: Path, scans: Iterable[Path]) -> None:
+    """Link labels, calibrations and tables beside the new scans of a tree, so that these are drives as the old ones."""
+    above = {folder for scan in scans for folder in scan.parents}
+
+    def link(source: Path, place: Path) -> None:
+        for old in sorted(source.iterdir()):
+            new = place / old.name
+            if new in above:
+                link(old, new)
+            elif not (old.name.startswith(".") or is_scan(old) or new.exists() or new.is_symlink()):
+                new.symlink_to(old)
+
+    link(data, out)
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,8 @@ def score(
         known = read_truth(tree, dict.fromkeys(key for one in sets for key in one.frames), progress)
         if not any(len(one.boxes) for one in known.values()):
             raise DataError(complaint(tree, "truth", f"true boxes in the frames of {where}", "none"))
+        labelled = known.keys()
+        sets = [replace(one, frames={k: v for k, v in one.frames.items() if k in labelled}) for one in sets]
     elif truth is not None and not isinstance(truth, str | Path):
         for i, boxes in enumerate(truth):
             check_radians("truth", f"frame {i}", boxes.yaw)

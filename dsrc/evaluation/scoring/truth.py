@@ -54,7 +54,7 @@ def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None =
     """Read the true boxes of frames.
 
     Those that count are judged as float32, as stored ones are; a box that ends at the border of a range is in it or out
-    of it by its own digits, as in OpenCOOD.
+    of it by its own digits, as in OpenCOOD. Frames of drives without ground truth are left out.
 
     Args:
         tree: drive, folder of drives, or KITTI's object tree, as labels alone where frames name no drive.
@@ -70,7 +70,8 @@ def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None =
     read = _Drives(tree).truth if labels is None else partial(_of_labels, labels)
     found = {}
     for done, key in enumerate(keys, 1):
-        found[key] = replace(read(key), rounds=True)
+        if (truth := read(key)) is not None:
+            found[key] = replace(truth, rounds=True)
         if progress:
             progress(done, len(keys))
     return found
@@ -89,15 +90,18 @@ class _Drives:
             self.paths.setdefault(path.name, []).append(path)
         self.opened: tuple[str, Drive] | None = None
 
-    def truth(self, key: FrameKey) -> Truth:
-        """Read the true boxes of a frame."""
+    def truth(self, key: FrameKey) -> Truth | None:
+        """Read the true boxes of a frame; None of one that nobody labelled."""
         if self.opened is None or self.opened[0] != key.drive:
             self.opened = key.drive, open_drive(self._path(key.drive))
         drive = self.opened[1]
         if key.frame not in drive.frames:
             expected = f"one from {drive.frames[0]} to {drive.frames[-1]}" if drive.frames else "a drive with frames"
             raise DataError(complaint(drive.drive, "frame", expected, f"detections of frame {key.frame}"))
-        return truth_of_frame(drive.read(drive.frames.index(key.frame)), key.ego_id, f"{drive.drive}: ")
+        position = drive.frames.index(key.frame)
+        if not drive.labelled(position):
+            return None
+        return truth_of_frame(drive.read(position), key.ego_id, f"{drive.drive}: ")
 
     def _path(self, name: str) -> Path:
         if not name and len(self.paths) == 1:

@@ -1,6 +1,7 @@
 """True boxes of trees: those an evaluation takes, and what the protocols choose among."""
 
 import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import OPENCOOD_RANGE_M, SampleRequest, make_sample
 from dsrc.evaluation.metrics.protocols import PROTOCOLS
 from dsrc.evaluation.scoring.frames import FrameKey, Truth, select
+from dsrc.evaluation.scoring.score import score
 from dsrc.evaluation.scoring.truth import read_truth, truth_of_frame
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
@@ -20,6 +22,7 @@ from sim.boxes import Boxes
 from sim.errors import DataError
 from tests.dsrc.data.dair_tree import make
 from tests.dsrc.data.goldens import unpack_opv2v_mini
+from tests.dsrc.data.sweeps.trees import scans
 from tests.dsrc.data.toy import toy_frame
 
 GRID = GridSpec(range_m=(-51.2, -25.6, -3.0, 51.2, 25.6, 1.0))
@@ -122,3 +125,16 @@ def test_a_box_counts_by_its_own_digits_and_is_judged_by_those_of_stored_ones(tm
     write_frame(tmp_path / "one", toy_frame(0))
     (truth,) = read_truth(tmp_path, [FrameKey("one", 0)]).values()
     assert np.array_equal(truth.boxes.array, truth_of_frame(open_drive(tmp_path / "one").read(0)).boxes.array)
+
+
+def test_frames_that_nobody_labelled_are_left_out(tmp_path: Path) -> None:
+    scans(tmp_path)
+    labels = json.loads((tmp_path / "scans" / "boxes.json").read_text())
+    (tmp_path / "scans" / "boxes.json").write_text(json.dumps({"frames": labels["frames"][:2]}))
+    found = [
+        {"drive": "scans", "frame": i, "boxes": labels["frames"][i]["boxes"][:1], "score": [0.9]} for i in range(3)
+    ]
+    (tmp_path / "found.json").write_text(json.dumps({"frames": found}))
+    (result,) = score(tmp_path / "found.json", tmp_path / "scans", "testbed")
+    assert (result.frames, result.truth, result.detections) == (2, 2, 2)
+    assert result.ap["bev", 0.5] == 1.0
