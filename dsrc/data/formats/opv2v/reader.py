@@ -4,6 +4,8 @@ A folder of drives is a split, a drive holds one folder per agent (the object id
 a roadside unit) and `data_protocol.yaml`. Trees of other tools are read too, with missing values filled in: all objects
 are cars, and an agent has at least one point on each object that it has annotated.
 
+A frame of which an agent lacks a file is refused, or left out where `data_protocol.yaml` says `missing: frame`.
+
 Points are written in the frame of their sweep (`Sweep.motion`), `lidar_pose` is that frame, and the record keeps it and
 the sensor's path, so that a reader can choose another. Boxes are those of the frame's time, the middle of its sweeps.
 """
@@ -32,13 +34,14 @@ from sensors.deskew import check_motion, deskew_frame
 from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
 from sensors.sweep import Motion, Sweep
 from sim.boxes import concatenate
-from sim.errors import DataError, complaint, did_you_mean
+from sim.errors import DataError, complaint, did_you_mean, notice
 from sim.files import write_file
 
 PROTOCOL = "data_protocol.yaml"
 Clouds = Literal["pcd", "compact"]
 """Form of the point clouds, and ending of their files: OPV2V's, or a quarter of their bytes for our readers alone."""
 CLOUDS: tuple[Clouds, ...] = get_args(Clouds)
+_MISSING, _LEFT_OUT = "missing", "frame"
 _AGENT = re.compile(r"-?\d+")
 _STEM = re.compile(r"\d+")
 # OpenCDA numbers its files by ticks of a simulation at 20 Hz; the default for trees of other tools.
@@ -147,6 +150,8 @@ class DriveReader:
         self.drive = Path(drive)
         self.motion = motion
         self.protocol = read_yaml(self.drive / PROTOCOL) if (self.drive / PROTOCOL).exists() else {}
+        # Of this tree alone: one that is made of it lacks nothing.
+        self._missing = self.protocol.pop(_MISSING, None)
         self.clouds = clouds_of(self.drive, self.protocol)
         self.agents = tuple(self._agents())
         self._stems = self._timestamps()
@@ -223,18 +228,32 @@ class DriveReader:
         if not stems:
             ego = self.drive / str(self.agents[0])
             raise DataError(complaint(ego, "timestamps", "files such as 000000.yaml and 000000.pcd", "none"))
-        for agent in self.agents:
-            for stem in stems:
-                for ending in ("yaml", self.clouds):
-                    if f"{stem}.{ending}" not in listing[agent]:
-                        raise DataError(f"{self.drive / str(agent) / stem}.{ending}: file is missing")
         own = own_settings(self.protocol)
+        files = [(agent, stem, ending) for agent in self.agents for stem in stems for ending in ("yaml", self.clouds)]
+        if gaps := [file for file in files if f"{file[1]}.{file[2]}" not in listing[file[0]]]:
+            stems = self._without(gaps, stems)
+            if "frames" in own:
+                own["frames"] = len(stems)
         promised = own.get("frames")
         if promised is not None and promised != len(stems):
             verb = "corrupt" if "corruptions" in own else "generate"
             hint = f"; run dsrc {verb} again"
             raise DataError(complaint(self.drive, "frames", f"{promised} as in {PROTOCOL}", len(stems), hint))
         return stems
+
+    def _without(self, gaps: list[tuple[int, str, str]], stems: list[str]) -> list[str]:
+        """Return the timestamps without those that an agent lacks a file of, if the protocol wants it so."""
+        if self._missing not in (None, _LEFT_OUT):
+            raise DataError(complaint(self.drive / PROTOCOL, _MISSING, _LEFT_OUT, self._missing))
+        agent, stem, ending = gaps[0]
+        hint = f"a line `{_MISSING}: {_LEFT_OUT}` in {self.drive / PROTOCOL} leaves such frames out"
+        if self._missing is None:
+            raise DataError(f"{self.drive / str(agent) / stem}.{ending}: file is missing; {hint}")
+        lacking = {stem for _, stem, _ in gaps}
+        if not (left := [stem for stem in stems if stem not in lacking]):
+            raise DataError(complaint(self.drive, "frames", "one of which no agent lacks a file", "none"))
+        notice(f"{self.drive}: {len(lacking)} of {len(stems)} frames, of which a file is missing, are left out")
+        return left
 
     def _own_frame(self, stem: str, records: list[Record]) -> Frame:
         first = records[0]

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from dsrc.data.checksums import write_checksums
+from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drive_folder import write_protocol
 from dsrc.data.drives import list_drives
 from dsrc.data.formats.annotation import flattened
@@ -383,6 +384,48 @@ def test_an_ego_without_frames_and_an_id_with_zeros_before_it_are_named(drive: P
     for path in (drive / "1000").iterdir():
         path.unlink()
     with pytest.raises(DataError, match=r"drive/1000: timestamps: expected files such as 000000.yaml"):
+        DriveReader(drive)
+
+
+@pytest.mark.parametrize("own", [True, False])
+@pytest.mark.parametrize("lost", ["1002/000000.pcd", "1002/000000.yaml", "1000/000000.pcd"])
+def test_a_frame_that_an_agent_lacks_a_file_of_is_left_out_on_request(
+    drive: Path, tmp_path: Path, own: bool, lost: str
+) -> None:
+    if own:
+        write_protocol(drive, {"testbed": {"frames": 2}})
+    else:
+        strip(drive)
+    kept = DriveReader(drive).read(1)
+    before = DriveReader(drive).digest()
+    (drive / lost).unlink()
+    with pytest.raises(DataError, match=rf"{lost}: file is missing; a line `missing: frame` in .*data_protocol.yaml"):
+        DriveReader(drive)
+    with (drive / "data_protocol.yaml").open("a") as file:
+        file.write("\nmissing: frame\n")
+    reader = DriveReader(drive)
+    assert reader.frames == (kept.index,)
+    assert same_frames(reader.read(0), kept) or not own
+    assert np.array_equal(reader.read(0).agents[1].sweep.points, kept.agents[1].sweep.points)
+    assert reader.digest() != before
+    assert "missing" not in reader.protocol
+    assert reader.protocol.get("testbed", {"frames": 1})["frames"] == 1
+    # A drive that is made of it is whole, and does not excuse gaps of its own.
+    corrupt_dataset(data=drive, out=tmp_path / "foggy", corruption="fog", severity=1)
+    (foggy,) = list_drives(tmp_path / "foggy")
+    assert DriveReader(foggy).frames == (kept.index,)
+    assert "missing" not in (foggy / "data_protocol.yaml").read_text()
+    for agent in reader.agents:
+        (drive / str(agent) / "000001.pcd").unlink(missing_ok=True)
+    with pytest.raises(DataError, match="frames: expected one of which no agent lacks a file, found none"):
+        DriveReader(drive)
+
+
+def test_what_becomes_of_missing_files_is_one_of_what_there_is(drive: Path) -> None:
+    (drive / "1002" / "000001.pcd").unlink()
+    with (drive / "data_protocol.yaml").open("a") as file:
+        file.write("\nmissing: agents\n")
+    with pytest.raises(DataError, match=r"data_protocol.yaml: missing: expected frame, found agents"):
         DriveReader(drive)
 
 
