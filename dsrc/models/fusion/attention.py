@@ -38,10 +38,11 @@ def _attend(features: Tensor, agents: tuple[int, ...]) -> tuple[Tensor, Tensor, 
     """Return the (B, C, H, W) result, the (B, L, H, W, C) features by sample and the (B, L, H, W, 1) weights."""
     # Channels last, the order of CPU convolutions: sums over the second axis take five times as long.
     x = features.permute(0, 2, 3, 1)
-    rows, absent = _places(agents, features.device)
-    if len(agents) == 1:
+    absent = None
+    if len(agents) == 1:  # in an export of an unknown number of agents
         x = x[None]
     else:
+        rows, absent = _places(agents, features.device)
         x = (x if rows is None else x.index_select(0, rows)).unflatten(0, (len(agents), -1))
     scores = (x * x[:, :1]).sum(4, keepdim=True) / x.shape[4] ** 0.5
     if absent is not None:

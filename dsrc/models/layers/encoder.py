@@ -155,7 +155,8 @@ def _normed_max(
     scale = norm.weight * root
     shift = norm.bias - mean * scale
     # The norm is monotonic per channel: take the extreme first and normalise V rows instead of P.
-    sign = torch.copysign(torch.ones_like(scale), scale)
+    # A scale of 0 counts as positive; ONNX has no copysign.
+    sign = torch.sign(scale + 1e-30)
     values, best = _linear_max(x, weight * sign[:, None], pillar, n_pillars)
     extreme = best * sign
     out, hidden = torch.addcmul(shift, extreme, scale), None
