@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from dsrc.data.drives import open_drives
 from dsrc.detectors.levelled import RECORDED, check_height
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
@@ -171,8 +172,11 @@ def _plans(config: Stressing) -> list[Benchmark]:
     (name, text), *_ = named([str(config.detector)])
     height = check_height("stress", config.height)
     use: dict[str, bool | int | float | str] = {} if height == RECORDED else {"height": height}
+    groups = config.corrupted_agents
+    if all(len(drive.agents) == 1 for drive in open_drives(config.data)):
+        groups = tuple(who for who in groups if who not in ("ego", "helpers")) or ("all",)  # they are all, or none
     plans = []
-    for who in config.corrupted_agents:
+    for who in groups:
         kinds = [kind for kind in corruption_kinds(config.corruption, config.family, "stress") if _fits(kind, who)]
         plan = Benchmark(
             name="stress",

@@ -13,6 +13,7 @@ from dsrc.evaluation.stress import Stress, StressRow, junit, stress, stress_tabl
 from dsrc.options.detection import Evaluation, Stressing
 from sim.errors import SettingsError
 from tests.commands import dsrc
+from tests.dsrc.data.sweeps.trees import kitti_object
 from tests.dsrc.evaluation.small import write_detector, write_drives
 
 
@@ -112,3 +113,11 @@ def test_settings_out_of_range_are_refused(world: Path) -> None:
     with pytest.raises(SettingsError, match=r"stress: share: expected more than 0, less than 1, found 1\.5"):
         stress(config_of(world, "x", share=1.5))
     assert not (world / "x").exists()
+
+
+def test_drives_of_one_agent_have_no_groups_of_agents(world: Path) -> None:
+    data = kitti_object(world / "kitti")
+    config = Stressing(
+        detector=str(world / "small.pt"), data=data, out=world / "alone", corruption=("point_dropping",), severity=(5,)
+    )
+    assert [(one.corruption, one.who) for one in stress(config).rows] == [("clean", ""), ("point_dropping", "all")]
