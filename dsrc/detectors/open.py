@@ -90,7 +90,7 @@ def detector_sha256(text: str | Path, detector: SampleDetector | None = None) ->
         return own if kind == "file" else _hash_of([own, runtime_version()])
     inner = process_of(detector)
     opened = inner or ProcessDetector(text)
-    words = command_of(text)[1:] if kind == "pipe" else []
+    words = command_of(text) if kind == "pipe" else []
     files = {word: file_sha256(Path(word)) for word in words if Path(word).is_file()}
     if opened is not inner:
         opened.close()

@@ -197,3 +197,13 @@ def test_a_file_starts_no_program(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"methods\.x\.detectors: expected no command: files start no programs"):
         read_benchmark(plan)
     assert not (tmp_path / "made").exists()
+
+
+def test_a_script_that_is_the_program_itself_is_known_by_its_content(tmp_path: Path) -> None:
+    script, text = tmp_path / "serve", f"pipe:{tmp_path}/serve"
+    hashes = []
+    for comment in ("first", "second"):
+        script.write_text(f"#!/bin/sh\n# {comment}\nexec {PIPE.removeprefix('pipe:')}\n")
+        script.chmod(0o755)
+        hashes.append(detector_sha256(text))
+    assert hashes[0] != hashes[1]
