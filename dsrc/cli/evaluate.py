@@ -145,7 +145,8 @@ class StressTest(Stressing, frozen=True, kw_only=True):
 
         from dsrc.cli.demo import SCENARIO, TEST_SEED
         from dsrc.data.write import generate
-        from dsrc.evaluation.stress import fails, junit, stress, stress_table, worst_pages, worst_table
+        from dsrc.evaluation.stress import fails, junit, stress, stress_table, worst_table
+        from dsrc.review.page.output.worst import worst_pages
         from sim.files import check_apart, write_file
 
         config = self

@@ -385,33 +385,3 @@ def junit(found: Stress, fail_under: float | None) -> bytes:
 def fails(row: StressRow, fail_under: float | None) -> bool:
     """Whether a condition's average precision lies below a bound; an unknown one does."""
     return fail_under is not None and not row.ap >= fail_under
-
-
-def worst_pages(out: Path, found: Stress) -> list[Path]:
-    """Write a review page of the worst frames of each drive, `worst_DRIVE.html`; see `dsrc view`."""
-    # The page takes a second to import.
-    from dsrc.review.model import open_model
-    from dsrc.review.page.output.export import export_states
-    from dsrc.review.state import ReviewState
-
-    if not found.worst:
-        return []
-    model, places = open_model(out), []
-    names = [source.name for source in model.sources]
-    for drive in dict.fromkeys(one.drive for one in found.worst):
-        states = [
-            ReviewState(
-                drive=names.index(drive),
-                frame=one.position,
-                corruption=one.corruption,
-                severity=one.severity,
-                family=found.made_by["settings"]["family"][0],
-                corrupted_agents=one.who,
-                threshold=SURE,
-                max_points=4000,
-            )
-            for one in found.worst
-            if one.drive == drive
-        ]
-        places.append(export_states(model, states, out / f"worst_{drive}.html"))
-    return places

@@ -14,8 +14,7 @@ from typing import Literal, Self
 from sim.errors import ScenarioError, complaint
 from sim.reading import check_regular, parsing
 from sim.roads import kerbside, rounding
-from sim.roads.osm import in_order, keeps_left
-from sim.roads.pbf import MOST_BYTES, pbf_to_xml
+from sim.roads.osm import MOST_BYTES, in_order, keeps_left, pbf_to_xml
 from sim.roads.tools import Option, drop_header, run_tool, sumo_home
 from sim.roads.xodr import OpenDriveMap
 

@@ -1,4 +1,4 @@
-"""OpenStreetMap XML as netconvert reads it, and the side on which its country drives."""
+"""OpenStreetMap as netconvert reads it: binary files as XML, nodes first; and the side on which its country drives."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,11 @@ from pathlib import Path
 import shapely
 
 from sim.errors import ScenarioError, complaint
-from sim.reading import parsing
+from sim.reading import parsing, read_bytes
+
+MOST_BYTES = 1 << 30
+"""Most bytes of a map when unpacked."""
+_CHECKED_EVERY = 10_000
 
 _LEFT_CODES = frozenset(
     "AG AU BB BD BN BS BT BW CY DM FJ FK GB GD GG GY HK ID IE IM IN JE JM JP KE KN LC LK LS MO MT MU MV MW MY MZ NA NP "
@@ -89,3 +93,23 @@ def in_order(osm: Path, source: Path, work: Path) -> Path:
                 for element in osmium.FileProcessor(osmium.io.File(str(osm), "osm"), kind):
                     writer.add(element)
     return target
+
+
+def pbf_to_xml(source: Path, target: Path) -> None:
+    """Write the nodes, ways and relations of a .osm.pbf file as OSM XML.
+
+    Raises:
+        ScenarioError: the file is missing, truncated, of another format or larger than `MOST_BYTES` as XML.
+    """
+    import osmium  # only these files need it
+
+    data = read_bytes(source, ".osm.pbf file", ScenarioError)
+    with parsing(source, ".osm.pbf file", ScenarioError):
+        count = 0
+        with osmium.SimpleWriter(osmium.io.File(target, "osm,add_metadata=false"), overwrite=True) as writer:
+            for count, element in enumerate(osmium.FileProcessor(osmium.io.FileBuffer(data, "pbf")), 1):
+                writer.add(element)
+                if count % _CHECKED_EVERY == 0 and target.stat().st_size > MOST_BYTES:
+                    raise ValueError(f"more than {MOST_BYTES} bytes when unpacked")
+        if not count:
+            raise ValueError("it holds no nodes")

@@ -26,7 +26,7 @@ from sim.mesh.meshfiles import read_3ds, read_obj
 from sim.mesh.solids import to_mesh
 from sim.radio.trace import read_trace
 from sim.roads.networks import read_network
-from sim.roads.pbf import pbf_to_xml
+from sim.roads.osm import pbf_to_xml
 from sim.roads.polygons import has_buildings, read_outlines
 from sim.roads.tools import run_tool
 from sim.traffic.log import TrafficLog

@@ -9,8 +9,9 @@ import pytest
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.evaluation.results import find_row
 from dsrc.evaluation.stored import read_index
-from dsrc.evaluation.stress import Stress, StressRow, junit, stress, stress_table, worst_pages
+from dsrc.evaluation.stress import Stress, StressRow, junit, stress, stress_table
 from dsrc.options.detection import Evaluation, Stressing
+from dsrc.review.page.output.worst import worst_pages
 from sim.errors import SettingsError
 from tests.commands import dsrc
 from tests.dsrc.data.sweeps.trees import kitti_object

@@ -21,7 +21,7 @@ from sim.catalog.load import load_scenario
 from sim.errors import ScenarioError
 from sim.mesh.materials import material_index
 from sim.roads.networks import read_network, resolve_network
-from sim.roads.pbf import pbf_to_xml
+from sim.roads.osm import pbf_to_xml
 from sim.roads.polygons import read_outlines
 from sim.roads.tools import sumo_home
 from sim.traffic.sumo.traffic import SumoTraffic
@@ -201,8 +201,8 @@ def test_a_binary_extract_that_is_cut_short_is_one_line(tmp_path: Path, length: 
 
 
 def test_a_binary_extract_has_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim.roads.pbf._CHECKED_EVERY", 1)
-    monkeypatch.setattr("sim.roads.pbf.MOST_BYTES", -1)
+    monkeypatch.setattr("sim.roads.osm._CHECKED_EVERY", 1)
+    monkeypatch.setattr("sim.roads.osm.MOST_BYTES", -1)
     packed_file(tmp_path / "two.osm.pbf")
     with pytest.raises(ScenarioError, match="more than -1 bytes when unpacked"):
         pbf_to_xml(tmp_path / "two.osm.pbf", tmp_path / "two.osm")
