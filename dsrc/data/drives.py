@@ -125,7 +125,7 @@ def open_drives(root: Path | str, motion: Motion | None = None) -> list[Drive]:
 
 def labelled_frames(drive: Drive) -> list[int]:
     """Return the positions of the frames with ground truth; all of other data sets than sweeps."""
-    return [i for i in range(len(drive)) if drive.labelled(i)]
+    return [i for i in range(len(drive.frames)) if drive.labelled(i)]
 
 
 def drive_hashes(drives: Sequence[Path]) -> dict[str, str]:

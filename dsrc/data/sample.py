@@ -253,8 +253,7 @@ def _own_body(frame: Frame, row: int) -> NDArray[np.bool_]:
     """Return (P,) whether a point lies on the agent itself: in its true box, for other tools' data in OPV2V's."""
     agent = frame.agents[row]
     points = agent.sweep.points
-    boxless = agent.kind == "vehicle" and agent.agent_id not in frame.truth.object_id
-    if agent.sweep.spec is None or boxless:
+    if agent.sweep.spec is None:
         (x, y), low, high = points[:, :2].T, _OWN_BODY_LOW, _OWN_BODY_HIGH
         return (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
     own = frame.truth[frame.truth.object_id == agent.agent_id].transform(invert(agent.sweep.world_from_lidar))

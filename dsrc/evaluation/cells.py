@@ -6,7 +6,7 @@ All that this module imports, at any depth, is hashed into the keys of cells, se
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 from dsrc.data.drives import Drive, open_drive
 from dsrc.data.sample import SampleDetector
@@ -14,11 +14,12 @@ from dsrc.detectors.open import detector_sha256, open_detector, process_of
 from dsrc.evaluation.cache import CellSettings, write_cell
 from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.models.device import one_thread
-from dsrc.options.detection import Device
 from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import Condition
 from sim.errors import DataError, complaint
 from sim.radio import ChannelSpec
+
+_Device = Literal["cpu", "cuda"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ def make_cells(unit: Unit[CellJob], progress: Progress) -> None:
 def detector_of(job: CellJob) -> SampleDetector:
     """Return the detector of a cell, opened once per process."""
     settings, use = job.settings, tuple(sorted(job.settings.use.items()))
-    detector = _opened(job.text, settings.detector, use, settings.engine, cast(Device, settings.device))
+    detector = _opened(job.text, settings.detector, use, settings.engine, cast(_Device, settings.device))
     process = process_of(detector)
     if process is not None and detector_sha256(job.text, process) != settings.detector:
         raise DataError(complaint(job.text, "name", "that with which the evaluation began", process.name))
@@ -72,7 +73,11 @@ def detector_of(job: CellJob) -> SampleDetector:
 
 @lru_cache(maxsize=64)
 def _opened(
-    text: str, sha256: str, use: tuple[tuple[str, bool | int | float | str], ...], engine: str, device: Device
+    text: str,
+    sha256: str,
+    use: tuple[tuple[str, bool | int | float | str], ...],
+    engine: str,
+    device: _Device,
 ) -> SampleDetector:
     """Return a detector; the key has its hash, so that a changed one is opened again."""
     return open_detector(text, device, engine, dict(use))

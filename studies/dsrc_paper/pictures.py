@@ -4,9 +4,10 @@ from collections.abc import Callable, Sequence
 from functools import cache, partial
 from pathlib import Path
 
+from dsrc.detectors.open import open_detector
 from dsrc.evaluation.config import Benchmark
 from dsrc.evaluation.report.dataset_results import DatasetResults
-from dsrc.evaluation.runner import BenchmarkResult, TrainedDetector, load_adjusted
+from dsrc.evaluation.runner import BenchmarkResult, TrainedDetector
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_detector, with_fusion
 from dsrc.ops.grid import GridSpec
@@ -134,4 +135,7 @@ def check_pictures(plan: Benchmark) -> None:
 
 
 def _load(one: TrainedDetector) -> Detector:
-    return load_adjusted(one.path, one.use)
+    detector = open_detector(one.text, use=one.use)
+    if not isinstance(detector, Detector):
+        raise SettingsError(complaint(one.text, "detector", "a detector file", "another"))
+    return detector

@@ -14,7 +14,6 @@ Points are x forward, y left, z up in the sensor's frame. Beside the folder of `
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +27,6 @@ from dsrc.data.clouds.intensity import EIGHT_BIT, Intensities, Scale
 from dsrc.data.clouds.ply import decode_ply, encode_ply
 from dsrc.data.formats import kitti_labels
 from dsrc.data.formats.pcd import NOWHERE, encode_table, padded, read_organised
-from dsrc.runs.executors import SERIAL, Executor, Pool, Progress
-from dsrc.runs.jobs import results_of
 from sensors.corruptions.published.incomplete_echo import SEMANTIC_KITTI
 from sensors.sweep import Sweep
 from sim.errors import DataError, complaint, notice, option
@@ -42,7 +39,6 @@ ENDINGS = (NUSCENES, ".bin", ".npy", ".pcd", ".ply")
 NUSCENES_SENSOR = "hdl-32e"
 """Preset of the LiDAR of nuScenes."""
 
-_CHUNK = 8
 """Scans that a worker looks through in one go."""
 _LABEL_BITS = 0xFFFF
 _DECLARE = (
@@ -128,26 +124,18 @@ def read_scan(path: Path, columns: Sequence[str] | None = None, scale: Scale | N
     return scan if scale is None else replace(scan, cloud=replace(scan.cloud, scale=scale))
 
 
-def scale_of(
-    paths: Sequence[Path], columns: Sequence[str] | None, where: Path, workers: Pool | Executor = SERIAL
-) -> Scale:
+def scale_of(paths: Sequence[Path], columns: Sequence[str] | None, where: Path) -> Scale:
     """Return the one scale of the intensities of many scans, such as those of a folder `where`, which are all read.
 
     Raises:
         DataError: a scan cannot be read, or the scale cannot be found.
     """
-    chunks = [paths[k : k + _CHUNK] for k in range(0, len(paths), _CHUNK)]
-    seen: list[Intensities] = []
-    for result in results_of(partial(_seen, columns), chunks, workers):
-        if result.error is not None:
-            raise result.error
-        seen += result.value
-    return Intensities.joined(seen).scale(where)
+    return intensities_of(paths, columns).scale(where)
 
 
-def _seen(columns: Sequence[str] | None, paths: Sequence[Path], progress: Progress) -> list[Intensities]:
-    """Return what the intensities of some scans tell of their scale; a task."""
-    return [_intensities_of(path, columns) for path in paths]
+def intensities_of(paths: Sequence[Path], columns: Sequence[str] | None) -> Intensities:
+    """Return what the intensities of scans tell of their scale; DataError where one cannot be read."""
+    return Intensities.joined([_intensities_of(path, columns) for path in paths])
 
 
 def _intensities_of(path: Path, columns: Sequence[str] | None) -> Intensities:

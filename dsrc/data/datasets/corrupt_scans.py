@@ -14,6 +14,7 @@ Intensities of all scans are of one scale: the one declared, or found over all o
 import re
 import zlib
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +25,20 @@ from dsrc.data.clouds.columns import parse_columns
 from dsrc.data.clouds.corrupt import INTERVAL_S, corrupt_sweep
 from dsrc.data.clouds.files import (
     ending_of,
+    intensities_of,
     kitti_boxes,
     labels_of,
     read_labels,
     read_scan,
-    scale_of,
     scans_below,
     vehicles_among,
 )
-from dsrc.data.clouds.intensity import parse_scale
+from dsrc.data.clouds.intensity import Intensities, Scale, parse_scale
 from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_condition
 from dsrc.data.jsonio import read_json
 from dsrc.options.drives import CorruptOptions
 from dsrc.runs.executors import Executor, Pool, Progress
+from dsrc.runs.jobs import results_of
 from dsrc.runs.series import Series
 from sensors.corruptions import CORRUPTIONS, EVERYONE
 from sensors.presets import get_lidar
@@ -50,6 +52,9 @@ _CHUNK = 8
 _NUMBER = re.compile(r"(\d+)\D*$")
 _MICROSECONDS = 16
 """Digits of a name that is an instant, as nuScenes has them, µs."""
+
+_READ_AT_ONCE = 8
+"""Scans that a worker reads at once for their scale."""
 
 
 class ScanCorruption(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -94,10 +99,26 @@ def corrupt_scans(options: CorruptOptions, pool: Pool, progress: Progress | None
     paths = scans_below(data)
     with pool.open(len(paths)) as executor:
         if scale is None:
-            scale = scale_of(paths, columns, data, executor)
+            scale = _scale_of(paths, columns, data, executor)
         return _corrupt_folder(
             paths, msgspec.structs.replace(options, columns=columns, intensity_scale=scale), executor, progress
         )
+
+
+def _scale_of(paths: Sequence[Path], columns: Sequence[str] | None, data: Path, executor: Executor) -> Scale:
+    """Return the one scale of the intensities of a folder, see `dsrc.data.clouds.files.scale_of`, by all workers."""
+    chunks = [paths[k : k + _READ_AT_ONCE] for k in range(0, len(paths), _READ_AT_ONCE)]
+    seen: list[Intensities] = []
+    for result in results_of(partial(_seen, columns), chunks, executor):
+        if result.error is not None:
+            raise result.error
+        seen.append(result.value)
+    return Intensities.joined(seen).scale(data)
+
+
+def _seen(columns: Sequence[str] | None, paths: Sequence[Path], progress: Progress) -> Intensities:
+    """Return what the intensities of some scans tell of their scale; a task."""
+    return intensities_of(paths, columns)
 
 
 def _corrupt_folder(

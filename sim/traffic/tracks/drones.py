@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import DataError, complaint
-from sim.traffic.tracks.base import Recording, Track, class_of, heading_of_motion, make_track
+from sim.traffic.tracks.base import FARTHEST_M, Recording, Track, class_of, heading_of_motion, make_track
 from sim.traffic.tracks.columns import Columns, read_columns, rows_by
 
 IND = frozenset({"trackid", "frame", "xcenter", "ycenter", "heading"})
@@ -131,6 +131,6 @@ def _numbers(path: Path, field: str, text: str) -> NDArray[np.float64]:
         values = np.array([float(word) for word in text.split(";") if word.strip()], np.float64)
     except ValueError:
         values = np.array([math.nan])
-    if not np.isfinite(values).all():
-        raise DataError(complaint(path, field, "numbers between semicolons", text))
+    if not (np.abs(values) <= FARTHEST_M).all():
+        raise DataError(complaint(path, field, f"numbers within {FARTHEST_M:g} between semicolons", text))
     return np.sort(values)

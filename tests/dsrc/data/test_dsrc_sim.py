@@ -67,7 +67,7 @@ def test_its_test_drives_are_many_short_and_at_ten_hertz() -> None:
 
 @pytest.mark.parametrize(("limit", "each"), [(184, {8}), (92, {4}), (56, {2, 3})])
 def test_a_limited_evaluation_takes_as_many_frames_of_every_test_drive(limit: int, each: set[int]) -> None:
-    drives = [SimpleNamespace(frames=range(item.spec.frames)) for item in of_split("test")]
+    drives = [SimpleNamespace(frames=range(item.spec.frames), labelled=lambda i: True) for item in of_split("test")]
     assert {len(frames) for frames in frame_positions(drives, limit)} == each  # type: ignore[arg-type]
 
 

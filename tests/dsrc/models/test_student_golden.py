@@ -111,16 +111,25 @@ def _compare(losses: dict[str, Tensor], expected: dict[str, float], rtol: float)
             np.testing.assert_allclose(losses[ours].item(), expected[name], rtol=rtol, err_msg=name)
 
 
+def at_every_voxel(head: torch.nn.Module, fused: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return (B, 1, D, H, W) logits and (B, 3, D, H, W) offsets of all voxels."""
+    none = torch.zeros(0, dtype=torch.long)
+    logits, _ = head(fused, (none, none, none, none))
+    shape = logits[:, 0].shape
+    every = torch.meshgrid(*map(torch.arange, shape), indexing="ij")
+    _, offset = head(fused, [axis.flatten() for axis in every])
+    return logits, offset.unflatten(0, shape).movedim(-1, 1)
+
+
 def test_losses_and_maps_equal_the_reference_in_eval_mode(step: tuple[Step, dict[str, NDArray], dict]) -> None:
     world, arrays, notes = step
     world.nets.eval()
     _compare(world.losses(), notes["losses"]["eval"], 2e-5)
     with torch.inference_mode():
         output = world.nets["student"](world.own, AgentLayout(AGENTS))
-        logits, volume = world.nets["pcr"](output.fused)
-        offset = world.nets["pcr"].offset(volume)
+        logits, offset = at_every_voxel(world.nets["pcr"], output.fused)
     close(output.fused, arrays["eval/fused_feature"])
-    close(logits[:, None], arrays["eval/pcr_mask_logits"])
+    close(logits, arrays["eval/pcr_mask_logits"])
     close(offset[:, :, :2], arrays["eval/pcr_offset"])
 
 

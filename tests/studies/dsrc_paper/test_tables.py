@@ -54,7 +54,7 @@ def test_tables_3_and_4_find_their_pairs_by_what_methods_are() -> None:
 def test_a_plain_method_of_other_sizes_is_not_taken_for_the_base() -> None:
     result = outcome_of({"attfuse": 1, "dsrc": 1})
     wider = replace(settings_of("attfuse"), shrink_channels=128)
-    result.trained["attfuse"][0] = TrainedDetector(Path("x.pt"), "x", wider, 0, {})
+    result.trained["attfuse"][0] = TrainedDetector("x.pt", "x", wider, 0, {})
     assert "none" in table_2(DatasetResults.of(result, "made up"))
 
 

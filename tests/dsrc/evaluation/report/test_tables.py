@@ -56,7 +56,7 @@ def outcome_of(methods: dict[str, int], **settings: object) -> BenchmarkResult:
     specs = tuple(MethodSpec(name=n, detectors=tuple(f"{n}{i}" for i in range(k))) for n, k in methods.items())
     plan = Benchmark(methods=specs, datasets=(DatasetSpec(name="made up", drives=("x",)),), **settings)
     trained = {
-        name: [TrainedDetector(Path(f"{name}{i}.pt"), f"{name}{i}", settings_of(name), i, {}) for i in range(count)]
+        name: [TrainedDetector(f"{name}{i}.pt", f"{name}{i}", settings_of(name), i, {}) for i in range(count)]
         for name, count in methods.items()
     }
     entries = []
