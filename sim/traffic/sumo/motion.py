@@ -36,6 +36,10 @@ class BodyMotion:
         """Forget the trailing wheels of a body: its next heading is the given one."""
         self._trail[number] = np.nan
 
+    def forget(self, number: int) -> None:
+        """Make a body new."""
+        self._trail[number] = self._xy[number] = self._velocity[number] = np.nan
+
     def follow(self, numbers: Integers, front: Array, angle_deg: Array, length_m: Array) -> Array:
         """Move the trailing wheels of bodies and return their (N,) headings, in SUMO's degrees.
 

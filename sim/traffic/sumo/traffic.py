@@ -295,6 +295,9 @@ class SumoTraffic(DrivableTraffic):
         return [int(object_id) for object_id in actors.boxes.object_id[rows]]
 
     def _welcome(self, name: str, type_id: str, *, is_person: bool) -> None:
+        if name in self._users:  # it departs again and keeps its number
+            self._motion.forget(self._users[name].object_id - FIRST_ID)
+            return
         kind = TYPES[type_id]
         model = choose_model(kind.label, name, self._seed)
         self._users[name] = _RoadUser(FIRST_ID + len(self._users), name, kind, model, is_person)

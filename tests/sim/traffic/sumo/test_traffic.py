@@ -82,6 +82,23 @@ def test_ids_count_from_1000_in_order_and_rows_are_sorted(run: list[Actors]) -> 
         seen |= set(ids)
 
 
+def test_a_vehicle_that_departs_again_shares_its_id_with_nobody(traffic: SumoTraffic) -> None:
+    import libsumo
+
+    actors = traffic.actors
+    name = actors.name[actors.row(fastest_car(actors))]
+    kind = libsumo.vehicle.getTypeID(name)
+    libsumo.route.add("route", libsumo.vehicle.getRoute(name))
+    libsumo.vehicle.remove(name)
+    assert name not in traffic.step().name
+    for again in (name, "another"):
+        libsumo.vehicle.add(again, "route", kind)
+        while again not in (now := traffic.step()).name:
+            assert now.time_s < 120.0
+        assert np.hypot(*now.velocity[now.name.index(again)]) < 25.0
+    assert len(set(now.boxes.object_id.tolist())) == len(now)
+
+
 def test_boxes_stand_on_the_road_and_time_advances_by_the_step(run: list[Actors]) -> None:
     assert run[0].time_s == 25.0
     assert np.allclose(np.diff([a.time_s for a in run]), 0.1)
