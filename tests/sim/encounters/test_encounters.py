@@ -13,7 +13,7 @@ from sim.catalog.load import list_scenarios, load_scenario
 from sim.collisions import overlapping_pairs
 from sim.encounters import ENCOUNTERS, encounter_of, network_file, with_encounter
 from sim.encounters.following import closing_s
-from sim.encounters.lane_paths import lane_paths_of
+from sim.encounters.lane_paths import LanePath, lane_paths_of
 from sim.encounters.paths import PathBuilder, ReferencePath, SpeedProfile
 from sim.errors import ScenarioError
 from sim.roads.networks import read_network, resolve_network
@@ -259,3 +259,35 @@ def test_the_crash_of_the_chain_comes_when_the_gap_to_the_braking_car_is_used_up
     braked_s = np.minimum(time_s, speed / brakes_mps2)
     left_m = gap_m + speed * braked_s - 0.5 * brakes_mps2 * braked_s**2 - speed * time_s
     assert closing_s(gap_m, speed, brakes_mps2) == pytest.approx(time_s[left_m <= 0.0][0], abs=2 * step_s)
+
+
+@pytest.mark.parametrize("kind", ["lta_truck", "red_light_runner"])
+def test_an_encounter_on_a_left_driving_map_mirrors_that_on_a_right_driving_one(kind: str) -> None:
+    """Approaches from south, north and east, lanes of 3.5 m; lights are SUMO's bits: 1 right, 2 left."""
+    lines = {
+        "ego": [(1.75, -90), (1.75, -6), (-6, 1.75), (-90, 1.75)],
+        "oncoming": [(-5.25, 90), (-5.25, -90)],
+        "truck": [(-1.75, 90), (-1.75, 6), (6, -1.75), (90, -1.75)],
+        "crossing": [(90, 5.25), (-90, 5.25)],
+        "mate": [(5.25, -90), (5.25, 90)],
+    }
+    conflict = "oncoming" if kind == "lta_truck" else "crossing"
+    named = {"ego": "ego", "conflict": conflict, "truck": "truck", "mate": "mate", "opposite": "oncoming"}
+    drawn = encounter_of(encounter(kind), 3).parameters
+    layouts = []
+    for x_sign in (1.0, -1.0):
+        streets = {
+            role: LanePath(ReferencePath.through(np.array(lines[name]) * [x_sign, 1.0]), 80.0, -x_sign)
+            for role, name in named.items()
+        }
+        on_streets = ENCOUNTERS[kind].on_streets
+        assert on_streets is not None
+        layouts.append(on_streets(drawn, np.random.default_rng(1), streets).actors)
+    right, left = layouts
+    mirrored = {1: 2, 2: 1}
+    assert len(right) == len(left) > 3
+    for one, other in zip(right, left, strict=True):
+        assert (one.name, one.type_name, one.size) == (other.name, other.type_name, other.size)
+        assert np.allclose(one.path.points * [-1.0, 1.0, 1.0], other.path.points, atol=1e-6)
+        assert one.start_m == pytest.approx(other.start_m)
+        assert [(mirrored[bits], *times) for bits, *times in one.lights] == [tuple(light) for light in other.lights]
