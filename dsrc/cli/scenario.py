@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from tyro.conf import Positional
 
-from dsrc.cli.progress import made
+from dsrc.cli.progress import log_lines, made
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.fields import File, Folder, Output, Scenario, choice
 from dsrc.tables.table import Table
@@ -204,6 +204,7 @@ class Import(msgspec.Struct, frozen=True):
         """Convert the map and print the new folder."""
         from sim.catalog.import_map import import_map
 
+        log_lines("sim.catalog.import_map", on_terminals=True)
         folder = import_map(Path(self.map), self.name, self.out, traffic_side=self.traffic_side)
         made(folder, "a scenario", "generate", folder, "--out", "data")
 

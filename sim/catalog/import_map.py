@@ -94,6 +94,7 @@ def _write_scenario(path: Path, source: Path, name: str, found: ConvertedMap, se
     rate = 0.0
     for rate in rates(net, focus, kept):
         write(rate, _AGENTS)
+        log.info("%s: dry run of seeds %d to %d, %.0f vehicles per hour", source.name, seeds[0], seeds[-1], rate)
         if least_traffic(path, seeds, _AGENTS)[0] >= _AGENTS:
             return
     staying, seen = least_traffic(path, seeds, 0)
