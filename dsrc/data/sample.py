@@ -210,6 +210,18 @@ def _participants(frame: Frame, ego_id: int | None, request: SampleRequest) -> l
     return [row for row in rows if distance[row] <= request.comm_range_m][: request.max_agents]
 
 
+def first_agents(sample: Sample, count: int) -> Sample:
+    """Return the sample of the first `count` agents, the ego included; ground truth stays."""
+    return replace(
+        sample,
+        agent_ids=sample.agent_ids[:count],
+        clouds=sample.clouds[:count],
+        ego_from_agent=sample.ego_from_agent[:count],
+        agent_boxes=sample.agent_boxes[:count],
+        lost=sample.lost[:count],
+    )
+
+
 def users_in(boxes: Boxes, users: Users) -> NDArray[np.bool_]:
     """Return the (N,) mask of boxes that a network of these users is to detect."""
     return boxes.is_vehicle if users == "vehicles" else boxes.is_vulnerable

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import Sample, SampleRequest, inside
+from dsrc.data.sample import Sample, SampleRequest, first_agents, inside
 from dsrc.detectors.answers import checked
 from dsrc.detectors.classes import OwnDetector
 from dsrc.detectors.open import close_detector, open_detector
@@ -74,7 +74,7 @@ class _Check:
         self.sample = _street(request)
         rules: dict[str, Callable[[], str]] = {
             "detect": lambda: self._found(self.sample),
-            "ego alone": lambda: self._found(_agents(self.sample, 1)),
+            "ego alone": lambda: self._found(first_agents(self.sample, 1)),
             "empty cloud": lambda: self._found(_emptied(self.sample)),
             "sample": self._untouched,
             "again": self._again,
@@ -166,16 +166,6 @@ def _cloud(
     points = np.concatenate(parts) + rng.normal(0.0, 0.01, (sum(map(len, parts)), 3))
     points = points[((points > low) & (points < high)).all(axis=1)]
     return np.concatenate([points, rng.random((len(points), 1))], axis=1).astype(np.float32)
-
-
-def _agents(sample: Sample, count: int) -> Sample:
-    return replace(
-        sample,
-        agent_ids=sample.agent_ids[:count],
-        clouds=sample.clouds[:count],
-        ego_from_agent=sample.ego_from_agent[:count],
-        agent_boxes=sample.agent_boxes[:count],
-    )
 
 
 def _emptied(sample: Sample) -> Sample:

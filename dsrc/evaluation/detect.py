@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, labelled_frames
-from dsrc.data.sample import Sample, SampleDetector, SampleRequest, counted, make_sample
+from dsrc.data.sample import Sample, SampleDetector, SampleRequest, counted, first_agents, make_sample
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
 from dsrc.models.channel import Receiver
@@ -249,15 +249,3 @@ def _sample(frames: tuple[Frame, Frame], method: Method, samples: dict[_SampleKe
             whole = _sample(frames, replace(method, agents=None), samples, drive)
             samples[key] = first_agents(whole, method.agents)
     return samples[key]
-
-
-def first_agents(sample: Sample, count: int) -> Sample:
-    """Sample of the first `count` agents, the ego included; ground truth stays."""
-    return replace(
-        sample,
-        agent_ids=sample.agent_ids[:count],
-        clouds=sample.clouds[:count],
-        ego_from_agent=sample.ego_from_agent[:count],
-        agent_boxes=sample.agent_boxes[:count],
-        lost=sample.lost[:count],
-    )

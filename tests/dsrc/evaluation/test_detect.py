@@ -8,8 +8,8 @@ import pytest
 
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
-from dsrc.data.sample import OPENCOOD_RANGE_M, Sample, SampleRequest, make_sample
-from dsrc.evaluation.detect import Method, corrupted, first_agents, frame_positions, warn_of_slow_drives
+from dsrc.data.sample import OPENCOOD_RANGE_M, Sample, SampleRequest, first_agents, make_sample
+from dsrc.evaluation.detect import Method, corrupted, frame_positions, warn_of_slow_drives
 from dsrc.evaluation.results import find_row
 from dsrc.ops.detections import Detections
 from sensors.corruptions import CORRUPTIONS, PAPER_SIX, Condition, corruption_kinds, drive_seed
