@@ -10,6 +10,7 @@ from dsrc.data.datasets.check import check_dataset
 from dsrc.data.datasets.convert import convert
 from dsrc.data.drives import open_drives
 from dsrc.data.write import write_drive
+from tests.dsrc.data.sweeps import trees
 from tests.dsrc.data.toy import SETTINGS, ToySource
 
 
@@ -89,3 +90,46 @@ def test_tables_link_as_nuscenes_schema_says(data: Path, tmp_path: Path) -> None
     for row in tables["sample_annotation"]:
         assert row["next"] in {"", *tokens["sample_annotation"]}
     assert len(open_drives(tmp_path / "n")) == 3
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_the_development_kit_of_nuscenes_reads_what_we_read(data: Path, tmp_path: Path, ours: bool) -> None:
+    """Both our tables and those by hand after its schema; its requirements exclude ours, so no extra installs it."""
+    pytest.importorskip("nuscenes.nuscenes")
+    from nuscenes.nuscenes import NuScenes
+    from nuscenes.utils.data_classes import LidarPointCloud
+    from pyquaternion import Quaternion
+
+    if ours:
+        convert(data=data, out=tmp_path, to="nuscenes", agent_id="all")
+    else:
+        trees.nuscenes(tmp_path)
+    drives = open_drives(tmp_path)
+    kit = NuScenes(drives[0].drive.parent.name, str(tmp_path), verbose=False)
+    assert {scene["name"] for scene in kit.scene} == {drive.drive.name for drive in drives}
+    for scene in kit.scene:
+        (drive,) = (drive for drive in drives if drive.drive.name == scene["name"])
+        assert scene["nbr_samples"] == len(drive)
+        token = scene["first_sample_token"]
+        for i in range(len(drive)):
+            frame, sample = drive.read(i), kit.get("sample", token)
+            row = kit.get("sample_data", sample["data"]["LIDAR_TOP"])
+            cloud = LidarPointCloud.from_file(kit.get_sample_data_path(row["token"]))
+            sweep = frame.agents[0].sweep
+            assert np.allclose(cloud.points[3] / 255.0, sweep.intensity, atol=1e-7)
+            for table in ("calibrated_sensor", "ego_pose"):
+                pose = kit.get(table, row[f"{table}_token"])
+                cloud.rotate(Quaternion(pose["rotation"]).rotation_matrix)
+                cloud.translate(np.array(pose["translation"]))
+            assert np.abs(cloud.points[:3].T - sweep.world_points).max() < 1e-4
+            boxes = [kit.get_box(one) for one in sample["anns"]]
+            assert len(boxes) == (frame.truth.object_id != frame.agents[0].agent_id).sum()
+            for box, one in zip(boxes, sample["anns"], strict=True):
+                k = int(np.argmin(np.linalg.norm(frame.truth.center - box.center, axis=1)))
+                assert np.abs(frame.truth.center[k] - box.center).max() < 1e-6
+                assert np.abs(frame.truth.size[k] - box.wlh[[1, 0, 2]]).max() < 1e-6
+                assert box.orientation.yaw_pitch_roll[0] == pytest.approx(frame.truth.yaw[k], abs=1e-6)
+                assert box.name.startswith(("vehicle.", "human.pedestrian."))
+                assert np.abs(kit.box_velocity(one)[:2] - frame.velocity[k]).max() < 1e-3
+            token = sample["next"]
+        assert token == ""
