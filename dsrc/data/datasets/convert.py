@@ -18,6 +18,7 @@ from dsrc.data.drive_folder import is_complete, write_protocol
 from dsrc.data.drives import Drive, open_drive, open_drives
 from dsrc.data.formats.dair.write import DairWriter
 from dsrc.data.formats.kitti import KittiWriter, LabelView
+from dsrc.data.formats.mcap.file import MessageFile
 from dsrc.data.formats.mcap.foxglove import McapFile
 from dsrc.data.formats.mcap.ros2 import Ros2File
 from dsrc.data.formats.opv2v.reader import (
@@ -361,31 +362,58 @@ def _chosen(source: Source, agent: str) -> tuple[int, ...]:
     return (int(agent),)
 
 
-class _Mcap(_Writer):
-    """File for each drive."""
+class _Recording(_Writer):
+    """Recording for each drive, which is there when it is complete."""
 
-    _make: Callable[[Path], McapFile | Ros2File] = McapFile
-    _open: McapFile | Ros2File | None = None
+    _open: MessageFile | OsiTraces | None = None
+    _ending = ".mcap"
 
     def done(self, source: Source, i: int) -> bool:
-        return self._file(source).exists()
+        return self._path(source).is_file()
 
     def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
         if self._open is None:
-            self._open = type(self)._make(self._file(source))
+            self._open = self._make(self._path(source), len(drive))
         self._open.write(_compensated(source, frame))
         if i + 1 == len(drive):
             self._open.close()
             self._open = None
 
-    def _file(self, source: Source) -> Path:
-        return self.out / f"{source.name}.mcap"
+    def _make(self, path: Path, frames: int) -> MessageFile | OsiTraces:
+        raise NotImplementedError
+
+    def _path(self, source: Source) -> Path:
+        return self.out / f"{source.name}{self._ending}"
 
 
-class _Ros2(_Mcap):
+class _Mcap(_Recording):
+    """MCAP of Foxglove's messages for each drive."""
+
+    def _make(self, path: Path, frames: int) -> MessageFile:
+        return McapFile(path)
+
+
+class _Ros2(_Recording):
     """MCAP of ROS 2 messages for each drive."""
 
-    _make = Ros2File
+    def _make(self, path: Path, frames: int) -> MessageFile:
+        return Ros2File(path)
+
+
+class _OsiMcap(_Recording):
+    """MCAP of OSI for each drive."""
+
+    def _make(self, path: Path, frames: int) -> OsiTraces:
+        return OsiTraces(path, frames)
+
+
+class _Osi(_OsiMcap):
+    """Folder of binary traces for each drive."""
+
+    _ending = ""
+
+    def done(self, source: Source, i: int) -> bool:
+        return any(self._path(source).glob("*_gt_*.osi"))  # the ground truth is the last file to appear
 
 
 class _NuScenes(_Writer):
@@ -410,34 +438,6 @@ class _NuScenes(_Writer):
 
     def finish(self, sources: Sequence[Source]) -> None:
         self._writer.finish({scene: len(source.frames) for source in sources for scene in self._scenes(source)})
-
-
-class _Osi(_Writer):
-    """Traces for each drive."""
-
-    _open: OsiTraces | None = None
-    _ending = ""
-
-    def done(self, source: Source, i: int) -> bool:
-        path = self._path(source)
-        return path.is_file() or any(path.glob("*_gt_*.osi"))  # the ground truth is the last file to appear
-
-    def write(self, source: Source, i: int, drive: Drive, frame: Frame) -> None:
-        if self._open is None:
-            self._open = OsiTraces(self._path(source), len(drive))
-        self._open.write(_compensated(source, frame))
-        if i + 1 == len(drive):
-            self._open.close()
-            self._open = None
-
-    def _path(self, source: Source) -> Path:
-        return self.out / f"{source.name}{self._ending}"
-
-
-class _OsiMcap(_Osi):
-    """One MCAP for each drive."""
-
-    _ending = ".mcap"
 
 
 _WRITERS: dict[Format, Callable[[Path, Conversion], _Writer]] = {

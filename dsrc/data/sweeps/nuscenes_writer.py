@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.formats.mcap.foxglove import quaternion
+from dsrc.data.formats.mcap.file import quaternion
 from dsrc.data.sweeps.nuscenes import CHANNEL, FORWARD_FROM_RIGHT, FULL_SCALE
 from sensors.frame import Frame
 from sim.boxes import CLASSES

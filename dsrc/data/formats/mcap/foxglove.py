@@ -17,16 +17,20 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.formats.mcap.file import (
+    POINT,
+    MessageFile,
+    point_fields,
+    point_table,
+    quaternion,
+    seconds_of,
+    transform_steps,
+)
 from sensors.frame import AgentFrame, Frame
 from sim.boxes import CLASSES
-from sim.errors import SettingsError
-from sim.files import named, replacing
-from sim.geometry import invert, pose_matrix
+from sim.geometry import pose_matrix
 from sim.traffic.base import lit
 
-_POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("object_id", "<i4")]
-)
 _NUMBER_TYPES = {"<f4": 7, "<u2": 3, "<i4": 6}
 """Numbers of `foxglove.NumericType`."""
 _COLORS = {
@@ -94,8 +98,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
 }
 
 
-class McapFile:
-    """MCAP file that appears when it is closed."""
+class McapFile(MessageFile):
+    """MCAP file of Foxglove's messages that appears when it is closed."""
 
     def __init__(self, path: Path) -> None:
         """Open the file.
@@ -103,55 +107,27 @@ class McapFile:
         Raises:
             SettingsError: the package is missing.
         """
-        try:
-            from mcap.writer import Writer
-        except ImportError:
-            raise SettingsError("mcap: expected the package mcap, found none; pip install mcap") from None
-        self.path = path
-        self._replacing = replacing(path)
-        self._file = self._replacing.__enter__().open("wb")
-        self._writer = Writer(self._file)
-        self._writer.start(profile="", library="dsrc-testbed")
-        self._schemas = {
-            name: self._writer.register_schema(name, "jsonschema", msgspec.json.encode({"title": name, **schema}))
-            for name, schema in SCHEMAS.items()
-        }
-        self._channels: dict[str, int] = {}
-        self._frames = 0
+        schemas = {name: msgspec.json.encode({"title": name, **schema}) for name, schema in SCHEMAS.items()}
+        super().__init__(path, "", "json", "jsonschema", schemas)
         self._shown: set[str] = set()
 
-    def write(self, frame: Frame) -> None:
-        """Append a frame."""
+    def _write(self, frame: Frame) -> None:
         entities = _entities(frame)
         names = {entity["id"] for entity in entities}
         gone = [{"timestamp": _time(frame.time_s), "type": 0, "id": name} for name in sorted(self._shown - names)]
-        with named(self.path):
-            self._message("/tf", "foxglove.FrameTransforms", frame.time_s, _transforms(frame))
-            for agent in frame.agents:
-                topic = f"/agents/{agent.agent_id}/points"
-                self._message(topic, "foxglove.PointCloud", frame.time_s, _cloud(agent, frame.time_s))
-            self._message("/truth", "foxglove.SceneUpdate", frame.time_s, {"deletions": gone, "entities": entities})
+        self._add("/tf", "foxglove.FrameTransforms", frame.time_s, _transforms(frame))
+        for agent in frame.agents:
+            cloud = _cloud(agent, frame.time_s)
+            self._add(f"/agents/{agent.agent_id}/points", "foxglove.PointCloud", frame.time_s, cloud)
+        self._add("/truth", "foxglove.SceneUpdate", frame.time_s, {"deletions": gone, "entities": entities})
         self._shown = names
-        self._frames += 1
 
-    def close(self) -> None:
-        """Finish the file and move it to its path."""
-        with named(self.path):
-            self._writer.finish()
-            self._file.close()
-            self._replacing.__exit__(None, None, None)
-
-    def _message(self, topic: str, schema: str, time_s: float, message: dict[str, object]) -> None:
-        if topic not in self._channels:
-            self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[schema])
-        nanoseconds = round(time_s * 1e9)
-        self._writer.add_message(
-            self._channels[topic], nanoseconds, msgspec.json.encode(message), nanoseconds, self._frames
-        )
+    def _add(self, topic: str, schema: str, time_s: float, message: dict[str, object]) -> None:
+        self._message(topic, schema, time_s, msgspec.json.encode(message))
 
 
 def _time(time_s: float) -> dict[str, int]:
-    seconds, nanoseconds = divmod(round(time_s * 1e9), 10**9)
+    seconds, nanoseconds = seconds_of(time_s)
     return {"sec": seconds, "nsec": nanoseconds}
 
 
@@ -159,63 +135,35 @@ def _vector(xyz: NDArray[np.float64]) -> dict[str, float]:
     return dict(zip("xyz", xyz.tolist(), strict=True))
 
 
-def quaternion(matrix: NDArray[np.float64]) -> dict[str, float]:
-    """Return the rotation of a (4, 4) transform as a unit quaternion."""
-    m = matrix[:3, :3]
-    # Of the four forms the one with the largest divisor (Shepperd, 1978).
-    squares = np.array([1 + m[0, 0] - m[1, 1] - m[2, 2], 1 - m[0, 0] + m[1, 1] - m[2, 2]])
-    squares = np.append(squares, [1 - m[0, 0] - m[1, 1] + m[2, 2], 1 + m[0, 0] + m[1, 1] + m[2, 2]])
-    x, y, z, w = squares
-    a, b, c = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    d, e, f = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
-    rows = np.array([[x, d, e, a], [d, y, f, b], [e, f, z, c], [a, b, c, w]])
-    best = rows[int(np.argmax(squares))]
-    return dict(zip("xyzw", (best / np.linalg.norm(best)).tolist(), strict=True))
-
-
 def _pose(matrix: NDArray[np.float64]) -> dict[str, Any]:
     return {"position": _vector(matrix[:3, 3]), "orientation": quaternion(matrix)}
 
 
 def _transforms(frame: Frame) -> dict[str, Any]:
-    transforms = []
-    for agent in frame.agents:
-        body = agent.world_from_body
-        steps = [("world", f"agent_{agent.agent_id}", body)]
-        steps.append((steps[0][1], f"lidar_{agent.agent_id}", invert(body) @ agent.sweep.world_from_lidar))
-        transforms += [
-            {
-                "timestamp": _time(frame.time_s),
-                "parent_frame_id": parent,
-                "child_frame_id": child,
-                "translation": _vector(matrix[:3, 3]),
-                "rotation": quaternion(matrix),
-            }
-            for parent, child, matrix in steps
-        ]
+    transforms = [
+        {
+            "timestamp": _time(frame.time_s),
+            "parent_frame_id": parent,
+            "child_frame_id": child,
+            "translation": _vector(matrix[:3, 3]),
+            "rotation": quaternion(matrix),
+        }
+        for parent, child, matrix in transform_steps(frame)
+    ]
     return {"transforms": transforms}
 
 
 def _cloud(agent: AgentFrame, time_s: float) -> dict[str, Any]:
-    sweep = agent.sweep
-    table = np.zeros(len(sweep), _POINT)
-    table["x"], table["y"], table["z"] = sweep.points.T
-    table["intensity"], table["object_id"] = sweep.intensity, sweep.object_id
-    table["ring"] = np.maximum(sweep.ring, 0)
-    fields = _POINT.names or ()
     return {
         # The frame's time, which the transforms have, not the sweep's own.
         "timestamp": _time(time_s),
         "frame_id": f"lidar_{agent.agent_id}",
         "pose": _pose(np.eye(4)),
-        "point_stride": _POINT.itemsize,
+        "point_stride": POINT.itemsize,
         "fields": [
-            {"name": name, "offset": offset, "type": _NUMBER_TYPES[_POINT[name].str]}
-            for name, offset in zip(
-                fields, np.cumsum([0, *(_POINT[name].itemsize for name in fields[:-1])]).tolist(), strict=True
-            )
+            {"name": name, "offset": offset, "type": number} for name, offset, number in point_fields(_NUMBER_TYPES)
         ],
-        "data": base64.b64encode(table.tobytes()).decode("ascii"),
+        "data": base64.b64encode(point_table(agent).tobytes()).decode("ascii"),
     }
 
 

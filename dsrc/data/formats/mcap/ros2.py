@@ -13,23 +13,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.formats.mcap.foxglove import quaternion
+from dsrc.data.formats.mcap.file import (
+    POINT,
+    MessageFile,
+    point_fields,
+    point_table,
+    quaternion,
+    seconds_of,
+    transform_steps,
+)
 from sensors.frame import AgentFrame, Frame
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
-from sim.files import named, replacing
-from sim.geometry import invert, pose_matrix
+from sim.geometry import pose_matrix
 
 TF, CLOUD, MARKERS = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/PointCloud2", "visualization_msgs/msg/MarkerArray"
-POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("object_id", "<i4")]
-)
 _DATATYPES = {"<f4": 7, "<u2": 4, "<i4": 5}
 """Values of `sensor_msgs/PointField.datatype`."""
 _CUBE = 1
 
 
-class Ros2File:
+class Ros2File(MessageFile):
     """MCAP file of ROS 2 messages that appears when it is closed."""
 
     def __init__(self, path: Path) -> None:
@@ -39,53 +43,29 @@ class Ros2File:
             SettingsError: a package is missing.
         """
         try:
-            from mcap.writer import Writer
             from rosbags.typesys import Stores, get_typestore
         except ImportError:
             hint = "pip install 'dsrc-testbed[ros]'"
-            raise SettingsError(f"ros2: expected the packages rosbags and mcap, found none; {hint}") from None
-        self.path = path
+            raise SettingsError(f"ros2: expected the package rosbags, found none; {hint}") from None
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
-        self._replacing = replacing(path)
-        self._file = self._replacing.__enter__().open("wb")
-        self._writer = Writer(self._file)
-        self._writer.start(profile="ros2", library="dsrc-testbed")
-        texts = {kind: self._store.generate_msgdef(kind, ros_version=2)[0] for kind in (TF, CLOUD, MARKERS)}
-        self._schemas = {
-            kind: self._writer.register_schema(kind, "ros2msg", text.encode()) for kind, text in texts.items()
-        }
-        self._channels: dict[str, int] = {}
-        self._frames = 0
+        texts = {kind: self._store.generate_msgdef(kind, ros_version=2)[0].encode() for kind in (TF, CLOUD, MARKERS)}
+        super().__init__(path, "ros2", "cdr", "ros2msg", texts)
 
-    def write(self, frame: Frame) -> None:
-        """Append a frame."""
-        with named(self.path):
-            self._message("/tf", TF, frame.time_s, self._transforms(frame))
-            for agent in frame.agents:
-                self._message(f"/agents/{agent.agent_id}/points", CLOUD, frame.time_s, self._cloud(agent, frame.time_s))
-            self._message("/truth", MARKERS, frame.time_s, self._markers(frame))
-        self._frames += 1
+    def _write(self, frame: Frame) -> None:
+        self._add("/tf", TF, frame.time_s, self._transforms(frame))
+        for agent in frame.agents:
+            self._add(f"/agents/{agent.agent_id}/points", CLOUD, frame.time_s, self._cloud(agent, frame.time_s))
+        self._add("/truth", MARKERS, frame.time_s, self._markers(frame))
 
-    def close(self) -> None:
-        """Finish the file and move it to its path."""
-        with named(self.path):
-            self._writer.finish()
-            self._file.close()
-            self._replacing.__exit__(None, None, None)
-
-    def _message(self, topic: str, kind: str, time_s: float, message: object) -> None:
-        if topic not in self._channels:
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
-        nanoseconds = round(time_s * 1e9)
-        content = bytes(self._store.serialize_cdr(message, kind))
-        self._writer.add_message(self._channels[topic], nanoseconds, content, nanoseconds, self._frames)
+    def _add(self, topic: str, kind: str, time_s: float, message: object) -> None:
+        self._message(topic, kind, time_s, bytes(self._store.serialize_cdr(message, kind)))
 
     def _of(self, kind: str, **values: object) -> Any:
         """Return a message of a kind; names without a package are of geometry_msgs."""
         return self._store.types[kind if "/" in kind else f"geometry_msgs/msg/{kind}"](**values)
 
     def _header(self, time_s: float, frame_id: str) -> Any:
-        seconds, nanoseconds = divmod(round(time_s * 1e9), 10**9)
+        seconds, nanoseconds = seconds_of(time_s)
         stamp = self._of("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
         return self._of("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
 
@@ -93,11 +73,6 @@ class Ros2File:
         return self._of(kind, **dict(zip("xyz", values.tolist(), strict=True)))
 
     def _transforms(self, frame: Frame) -> Any:
-        steps: list[tuple[str, str, NDArray[np.float64]]] = []
-        for agent in frame.agents:
-            body, name = agent.world_from_body, f"agent_{agent.agent_id}"
-            steps.append(("world", name, body))
-            steps.append((name, f"lidar_{agent.agent_id}", invert(body) @ agent.sweep.world_from_lidar))
         transforms = [
             self._of(
                 "TransformStamped",
@@ -109,28 +84,20 @@ class Ros2File:
                     rotation=self._of("Quaternion", **quaternion(matrix)),
                 ),
             )
-            for parent, child, matrix in steps
+            for parent, child, matrix in transform_steps(frame)
         ]
         return self._of(TF, transforms=transforms)
 
     def _cloud(self, agent: AgentFrame, time_s: float) -> Any:
         table = point_table(agent)
-        names = POINT.names or ()
-        offsets = [POINT.fields[name][1] for name in names] if POINT.fields else []
         return self._of(
             CLOUD,
             header=self._header(time_s, f"lidar_{agent.agent_id}"),
             height=1,
             width=len(table),
             fields=[
-                self._of(
-                    "sensor_msgs/msg/PointField",
-                    name=name,
-                    offset=offset,
-                    datatype=_DATATYPES[POINT[name].str],
-                    count=1,
-                )
-                for name, offset in zip(names, offsets, strict=True)
+                self._of("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=number, count=1)
+                for name, offset, number in point_fields(_DATATYPES)
             ],
             is_bigendian=False,
             point_step=POINT.itemsize,
@@ -177,13 +144,3 @@ class Ros2File:
             for row in range(len(boxes))
         ]
         return self._of(MARKERS, markers=markers)
-
-
-def point_table(agent: AgentFrame) -> NDArray[np.void]:
-    """Return the (P,) records of a sweep that MCAP files hold."""
-    sweep = agent.sweep
-    table = np.zeros(len(sweep), POINT)
-    table["x"], table["y"], table["z"] = sweep.points.T
-    table["intensity"], table["object_id"] = sweep.intensity, sweep.object_id
-    table["ring"] = np.maximum(sweep.ring, 0)
-    return table

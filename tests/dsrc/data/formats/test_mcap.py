@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dsrc.data.datasets.convert import convert
-from dsrc.data.formats.mcap.foxglove import quaternion
+from dsrc.data.formats.mcap.file import quaternion
 from dsrc.data.formats.opv2v.reader import write_frame
 from sim.geometry import pose_matrix, transform_points
 from tests.dsrc.data.toy import toy_frame
