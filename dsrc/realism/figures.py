@@ -29,7 +29,7 @@ _LOWEST_M = -12.0
 _CARRIER_M = (2.6, 1.2)
 """Half length and half width of the carrier around the sensor."""
 _STANDS_M = 0.3
-_BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 50.0))
+BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 50.0))
 _MARGIN_M = 0.1
 """Margin of the boxes whose points are a road user's."""
 _AROUND_M, _FEWEST_AROUND = 0.5, 8
@@ -63,25 +63,23 @@ class FigureOf:
 
 
 FIGURES = (
-    *(FigureOf(f"returns_{k}", "beams", f"beams with a return, {name}") for k, name in enumerate(
-        ("top eighth", *(f"eighth {k} of 8" for k in range(2, 8)), "lowest eighth"))),
-    FigureOf("elevation", "beams", "elevation of the points", "deg"),
-    FigureOf("range", "range", "range of the points", "m"),
-    *(FigureOf(f"standing_{low:.0f}", "roadside", f"points that stand, {low:.0f} to {high:.0f} m")
-      for low, high in _BANDS_M),
-    FigureOf("scattered", "roadside", "standing points that are leaf-like, 5 to 30 m"),
-    FigureOf("slope", "ground", "slope of the ground"),
-    FigureOf("residual", "ground", "residual of the ground, standard deviation, to 20 m", "m"),
-    FigureOf("bottom", "ground", "bottoms of vehicles above the ground at the sensor", "m"),
-    FigureOf("length", "vehicles", "length of vehicles", "m"),
-    FigureOf("width", "vehicles", "width of vehicles", "m"),
-    FigureOf("height", "vehicles", "height of vehicles", "m"),
-    FigureOf("points", "vehicles", "points on a vehicle, as if 20 m away, decimal logarithm"),
-    FigureOf("intensity_vehicle", "intensity", "intensity of vehicles"),
-    FigureOf("intensity_ground", "intensity", "intensity of the ground"),
-    FigureOf("intensity_standing", "intensity", "intensity of what stands"),
-    FigureOf("noise", "noise", "scatter about planes", "m"),
-)  # fmt: skip
+    *(FigureOf(f"returns_{k}", "beams", f"returns, beams {k + 1}/8") for k in range(8)),
+    FigureOf("elevation", "beams", "elevation", "deg"),
+    FigureOf("range", "range", "range", "m"),
+    *(FigureOf(f"standing_{low:.0f}", "roadside", f"standing, {low:.0f}-{high:.0f} m") for low, high in BANDS_M),
+    FigureOf("scattered", "roadside", "leaf-like, 5-30 m"),
+    FigureOf("slope", "ground", "slope"),
+    FigureOf("residual", "ground", "residual", "m"),
+    FigureOf("bottom", "ground", "vehicle bottom", "m"),
+    FigureOf("length", "vehicles", "length", "m"),
+    FigureOf("width", "vehicles", "width", "m"),
+    FigureOf("height", "vehicles", "height", "m"),
+    FigureOf("points", "vehicles", "log10 points at 20 m"),
+    FigureOf("intensity_vehicle", "intensity", "vehicles"),
+    FigureOf("intensity_ground", "intensity", "ground"),
+    FigureOf("intensity_standing", "intensity", "standing"),
+    FigureOf("noise", "noise", "off planes", "m"),
+)
 """All figures, those of a family one after the other."""
 
 FAMILIES = tuple(dict.fromkeys(one.family for one in FIGURES))
@@ -151,11 +149,11 @@ class _Scene:
 def _roadside(scene: _Scene, seed: int) -> Samples:
     """Return shares of what stands, of what is leaf-like in it, and the scatter about planes."""
     samples: Samples = {}
-    for low, high in _BANDS_M:
+    for low, high in BANDS_M:
         band = (scene.away > low) & (scene.away < high) & (scene.flat | scene.stands)
         if band.sum() >= _FEWEST:
             samples[f"standing_{low:.0f}"] = np.array([scene.stands[band].mean()])
-    middle = (scene.away > _BANDS_M[0][0]) & (scene.away < _BANDS_M[1][1])
+    middle = (scene.away > BANDS_M[0][0]) & (scene.away < BANDS_M[1][1])
     standing = _shapes(scene.points[scene.stands & middle], seed)
     if len(standing):
         samples["scattered"] = np.array([(standing[:, 0] > _SCATTERED).mean()])

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from dsrc.realism.figures import FIGURES, FigureOf, Samples
 from dsrc.realism.gauge import Row, families_of
@@ -27,27 +28,30 @@ def realism_table(rows: Sequence[Row]) -> Table:
         Column("real"),
         Column("simulated"),
         Column("distance"),
-        Column("95 % interval"),
-        Column("real halves"),
-        Column("in spreads"),
+        Column("interval"),
+        Column("halves"),
+        Column("spreads"),
     )
     lines = []
     for row in rows:
         title = f"{row.figure.title}, {row.figure.unit}" if row.figure.unit else row.figure.title
-        interval = f"{_number(row.low)} to {_number(row.high)}"
+        interval = f"{_number(row.low)}-{_number(row.high)}"
         values = _number(row.distance), interval, _number(row.halves), _number(row.relative)
-        lines.append(TableRow(row.figure.family, (title, _span(row.real), _span(row.simulated), *values)))
-    caption = "Values: 10 %, 50 %, 90 %. Distance: Wasserstein's, in the figure's unit; in spreads of the real figure."
+        lines.append(TableRow(row.figure.family, (title, _number(row.real[1]), _number(row.simulated[1]), *values)))
+    caption = (
+        "Values: median. Distance: Wasserstein's, with its 95 % interval; halves: between halves of the real sweeps; "
+        "spreads: the distance in standard deviations of the real figure."
+    )
     return Table("realism", "Real and simulated sweeps", "family", columns, tuple(lines), caption=caption, grouped=True)
 
 
 def family_table(rows: Sequence[Row]) -> Table:
     """Table of one number per family: the mean distance in spreads of the real figures."""
     return Table.of(
-        ("family", "distance, in spreads of the real figures"),
+        ("family", "in spreads"),
         [(family, _number(value)) for family, value in families_of(rows).items()],
         name="families",
-        title="By family",
+        title="Distance by family",
     )
 
 
@@ -108,16 +112,14 @@ def _draw(axes: Axes, figure: FigureOf, real: Sequence[Samples], simulated: Sequ
             weights = np.concatenate([np.full(len(one), 1.0 / len(one)) for one in samples])
             values = np.concatenate(samples)
             order = np.argsort(values)
-            below = np.cumsum(weights[order]) / weights.sum()
-            axes.step(values[order], below, color=color, linewidth=1.6, label=label, where="post")
-    axes.set_title(figure.title.replace(", ", ",\n", 1), fontsize=7.5)
+            below = np.concatenate([[0.0], np.cumsum(weights[order]) / weights.sum()])
+            steps = values[order][[0, *range(len(order))]]
+            axes.step(steps, below, color=color, linewidth=1.6, label=label, where="post")
+    axes.set_title(figure.title if figure.family == figure.name else f"{figure.family}: {figure.title}", fontsize=7.5)
     axes.set_xlabel(figure.unit, fontsize=7)
+    axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.tick_params(labelsize=7)
     axes.set_ylim(0.0, 1.0)
-
-
-def _span(values: Sequence[float]) -> str:
-    return " ".join(map(_number, values))
 
 
 def _number(value: float) -> str:
