@@ -8,6 +8,7 @@
 | sweeps      | of KITTI and other data sets, truth optional            | see `sweeps.reader`             |
 """
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
@@ -21,6 +22,8 @@ from dsrc.data.sweeps import reader as sweeps
 from sensors.frame import Frame
 from sensors.sweep import Motion
 from sim.errors import DataError, complaint
+
+_log = logging.getLogger(__name__)
 
 
 class Drive(Protocol):
@@ -113,8 +116,8 @@ def open_drive(path: Path, motion: Motion | None = None) -> Drive:
     """
     if dairv2x.locate(Path(path)) is not None:
         return dairv2x.DairReader(path, motion)
-    if sweeps.layout_of(Path(path)) is not None:
-        return sweeps.SweepReader(path, motion)
+    if (layout := sweeps.layout_of(Path(path))) is not None:
+        return sweeps.SweepReader(path, motion, layout)
     return opv2v.DriveReader(path, motion)
 
 
@@ -126,6 +129,17 @@ def open_drives(root: Path | str, motion: Motion | None = None) -> list[Drive]:
 def labelled_frames(drive: Drive) -> list[int]:
     """Return the positions of the frames with ground truth; all of other data sets than sweeps."""
     return [i for i in range(len(drive.frames)) if drive.labelled(i)]
+
+
+def warn_of_lost_labels(drives: Sequence[Drive]) -> None:
+    """Warn of what a new drive will not say of the labels: that a frame has none, or where they are complete."""
+    for drive in drives:
+        without = len(drive) - len(labelled_frames(drive))
+        if without:
+            known = f"{without} of {len(drive)} frames have no ground truth"
+            _log.warning("%s: %s; the new drive does not tell them from frames without objects", drive.drive, known)
+        if isinstance(drive, sweeps.SweepReader) and not drive.complete():
+            _log.warning("%s: labels are not complete everywhere; the new drive does not keep where", drive.drive)
 
 
 def drive_hashes(drives: Sequence[Path]) -> dict[str, str]:

@@ -15,7 +15,7 @@ import msgspec
 
 from dsrc.data.checksums import CHECKSUMS, write_checksums
 from dsrc.data.drive_folder import is_complete, write_protocol
-from dsrc.data.drives import Drive, open_drive, open_drives
+from dsrc.data.drives import Drive, open_drive, open_drives, warn_of_lost_labels
 from dsrc.data.formats.dair.write import DairWriter
 from dsrc.data.formats.kitti import KittiWriter, LabelView
 from dsrc.data.formats.mcap.file import MessageFile
@@ -140,6 +140,7 @@ def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | N
     with locked(out):
         state = _check_folder(out, wanted)
         if state != "finished":
+            warn_of_lost_labels(drives)
             write_file(out / CONVERSION, encode_json(wanted))
             jobs = [ConvertJob(out.resolve(), wanted, source, state == "lacking") for source in sources]
             run_jobs(_convert, jobs, pool, progress, frames)

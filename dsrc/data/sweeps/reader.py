@@ -96,8 +96,11 @@ class SweepReader:
         format: name of the data set.
     """
 
-    def __init__(self, drive: Path, motion: Motion | None = None) -> None:
-        """List the frames; no cloud is read yet.
+    def __init__(self, drive: Path, motion: Motion | None = None, layout: Layout | None = None) -> None:
+        """List the frames.
+
+        Args:
+            layout: of the drive, where it is open already.
 
         Raises:
             DataError: the drive is missing, empty or damaged.
@@ -105,7 +108,7 @@ class SweepReader:
         """
         if motion is not None:
             check_motion(motion)
-        layout = layout_of(Path(drive))
+        layout = layout or layout_of(Path(drive))
         if layout is None:
             raise DataError(complaint(drive, "drive", "sweeps in a known layout", "none"))
         if not layout.frames:
@@ -162,6 +165,11 @@ class SweepReader:
     def labelled(self, i: int) -> bool:
         """Return whether the i-th frame has ground truth, an empty one included."""
         return self._layout.labelled(i)
+
+    def complete(self) -> bool:
+        """Return whether labels are complete everywhere in all frames that have them; no cloud is read."""
+        regions = (labels.region for i in range(len(self)) if (labels := self._labels(i)) is not None)
+        return all(region is None or (region.projection is None and not len(region.ignored)) for region in regions)
 
     def digest(self) -> str:
         """Return the SHA-256 of names, sizes, starts and ends of all files, small ones whole."""

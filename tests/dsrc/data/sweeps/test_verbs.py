@@ -58,6 +58,25 @@ def test_convert_keeps_points_and_boxes(tree: tuple[str, Path], tmp_path: Path) 
         assert np.abs(new.truth.array - old.truth.array).max(initial=0.0) < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (trees.kitti_object, ["labels are not complete everywhere; the new drive does not keep where"]),
+        (trees.nuscenes, []),
+        (
+            trees.semantic_kitti,
+            ["3 of 3 frames have no ground truth; the new drive does not tell them from frames without objects"],
+        ),
+    ],
+)
+def test_convert_says_in_a_line_what_it_does_not_keep_of_labels(
+    make: Callable[[Path], Path], said: list[str], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    convert(data=make(tmp_path / "data"), out=tmp_path / "out", to="opv2v")
+    (drive,) = open_drives(tmp_path / "data")
+    assert [record.getMessage() for record in caplog.records] == [f"{drive.drive}: {line}" for line in said]
+
+
 def test_corrupt_changes_the_points(tree: tuple[str, Path], tmp_path: Path) -> None:
     corrupt_dataset(data=tree[1], out=tmp_path / "out", corruption="fog", severity=5)
     before, after = open_drives(tree[1])[0].read(0), open_drives(tmp_path / "out")[0].read(0)
