@@ -84,6 +84,38 @@ def tee(folder: Path) -> Path:
     return junction(folder, 3, "tee")
 
 
+def ramp(folder: Path) -> Path:
+    """A motorway of two lanes, one way, with an exit from its right lane."""
+    before, after = road(xodr.Line(400), 0, 0, 2), road(xodr.Line(400), 1, 0, 2)
+    leaving = road([xodr.Spiral(1e-9, -0.01, 60), xodr.Arc(-0.01, length=80)], 2, 0, 1)
+    fork = xodr.CommonJunctionCreator(100, "fork")
+    fork.add_incoming_road_cartesian_geometry(before, 0, 0, 0, "successor")
+    fork.add_incoming_road_cartesian_geometry(after, 60, 0, math.pi, "predecessor")
+    fork.add_incoming_road_cartesian_geometry(leaving, 60, -8, math.pi - 0.1, "predecessor")
+    fork.add_connection(0, 1)
+    fork.add_connection(0, 2, -2, -1)
+    return saved(folder, "ramp", before, after, leaving, junctions=(fork,))
+
+
+def roundabout(folder: Path, radius_m: float = 25.0, half_rad: float = 0.35) -> Path:
+    """Four arms on a ring that is driven counter-clockwise; its junctions take up `2 * half_rad` of it each."""
+    ring = [road(xodr.Arc(1 / radius_m, angle=0.5 * math.pi - 2 * half_rad), number, 0, 1) for number in range(4)]
+    arms = [road(xodr.Line(150), 10 + number) for number in range(4)]
+    x, y = radius_m * math.sin(half_rad), radius_m * (1.0 - math.cos(half_rad))
+    junctions = []
+    for number in range(4):
+        before, arm = (number - 1) % 4, 10 + number
+        one = xodr.CommonJunctionCreator(100 + number, f"junction {number}", startnum=1000 + 100 * number)
+        one.add_incoming_road_cartesian_geometry(ring[before], -x, y, -half_rad, "successor")
+        one.add_incoming_road_cartesian_geometry(ring[number], x, y, math.pi + half_rad, "predecessor")
+        one.add_incoming_road_cartesian_geometry(arms[number], 0, -15, 0.5 * math.pi, "predecessor")
+        one.add_connection(before, number)
+        one.add_connection(before, arm, -1, -1)
+        one.add_connection(arm, number, 1, -1)
+        junctions.append(one)
+    return saved(folder, "roundabout", *ring, *arms, junctions=tuple(junctions))
+
+
 def ring(folder: Path) -> Path:
     return saved(folder, "ring", _linked_to_itself(road(xodr.Arc(0.02, angle=2 * math.pi))))
 
@@ -120,8 +152,8 @@ def with_things(folder: Path) -> Path:
 KINDS: dict[str, Callable[[Path], Path]] = {
     kind.__name__: kind
     for kind in (
-        straight, curve, crest, multi_lane, one_way, motorway, two_plus_one, left_hand, junction, tee, ring, parallel,
-        with_things,
+        straight, curve, crest, multi_lane, one_way, motorway, two_plus_one, left_hand, junction, tee, ramp, roundabout,
+        ring, parallel, with_things,
     )
 }  # fmt: skip
 """Maps by kind."""

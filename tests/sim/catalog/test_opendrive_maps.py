@@ -38,6 +38,19 @@ def test_a_map_of_every_kind_gives_drives_with_ten_seeds(kind: str, tmp_path: Pa
     assert scenario.agents.vehicles == 3
 
 
+@pytest.mark.parametrize(
+    ("kind", "links"),
+    [
+        ("ramp", {"-0": {"-1", "-2"}}),
+        ("roundabout", {f"-{k}": {f"-{(k + 1) % 4}", f"-{10 + (k + 1) % 4}"} for k in range(4)}),
+    ],
+)
+def test_ways_part_at_ramps_and_roundabouts(kind: str, links: dict[str, set[str]], tmp_path: Path) -> None:
+    net = converted(maps.KINDS[kind](tmp_path), tmp_path / "out")
+    found = {edge.getID(): {after.getID() for after in edge.getOutgoing()} for edge in net.getEdges(False)}
+    assert {name: after for name, after in found.items() if len(after) > 1} == links
+
+
 def test_the_lanes_along_a_left_hand_road_lie_on_its_left(tmp_path: Path) -> None:
     """ASAM OpenDRIVE 1.8, 10.2: with LHT the lanes of positive number lead along the road."""
     net = converted(maps.left_hand(tmp_path), tmp_path / "out")
