@@ -13,10 +13,11 @@ from typing import Literal, Self
 
 from sim.errors import ScenarioError, complaint
 from sim.reading import check_regular, parsing
-from sim.roads import kerbside, rounding
+from sim.roads import kerbside, opendrive, opendrive_map, rounding
+from sim.roads import osm as openstreetmap
+from sim.roads.opendrive_map import OpenDriveMap
 from sim.roads.osm import MOST_BYTES, in_order, keeps_left, pbf_to_xml
 from sim.roads.tools import Option, drop_header, run_tool, sumo_home
-from sim.roads.xodr import OpenDriveMap
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +64,7 @@ _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.s
 _MOST_FAULTS = 20
 _OFFSET = re.compile(r'<location netOffset="([^",]+),([^",]+)"')
 
-_CODE = (__file__, rounding.__file__, kerbside.__file__)
+_CODE = (__file__, *(one.__file__ for one in (rounding, kerbside, openstreetmap, opendrive, opendrive_map)))
 CONVERSION = hashlib.sha256(b"".join(Path(file).read_bytes() for file in _CODE)).hexdigest()
 """Version of the conversion, part of the cache key: bump it with the code."""
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from sim.errors import DataError, complaint
+from sim.errors import DataError, UserError, complaint
 from sim.reading import parsing, read_bytes
 
 STEP_M = 0.5
@@ -99,11 +99,8 @@ class OpenDrive:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        content = read_bytes(path, "OpenDRIVE file")
-        if b"<!ENTITY" in content:
-            raise DataError(complaint(path, "OpenDRIVE file", "no entities", "<!ENTITY"))
         with parsing(path, "OpenDRIVE file"):
-            root = ET.fromstring(content)
+            root = read_root(path)
             if root.tag != "OpenDRIVE":
                 raise DataError(complaint(path, "root", "<OpenDRIVE>", f"<{root.tag}>"))
             self.roads = {one.get("id", ""): read_road(path, one) for one in root.findall("road")}
@@ -164,6 +161,25 @@ class OpenDrive:
                             for side in (1, -1)
                         ]
                         yield np.array(sides[0] + sides[1][::-1])
+
+
+def read_root(path: Path, error: type[UserError] = DataError) -> ET.Element:
+    """Return the root of an OpenDRIVE file, without namespaces.
+
+    Args:
+        error: class of error to raise.
+
+    Raises:
+        ParseError: the file is not XML.
+        UserError: of the class `error`: the file is missing or has entities.
+    """
+    content = read_bytes(path, "OpenDRIVE file", error)
+    if b"<!ENTITY" in content:
+        raise error(complaint(path, "OpenDRIVE file", "no entities", "<!ENTITY"))
+    root = ET.fromstring(content)
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    return root
 
 
 def _number(path: Path, field: str, element: ET.Element, name: str) -> float:

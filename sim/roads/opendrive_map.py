@@ -13,10 +13,9 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from sim.errors import DataError, ScenarioError, UserError, complaint
+from sim.errors import DataError, ScenarioError, UserError
 from sim.geometry import Array
-from sim.reading import read_bytes
-from sim.roads.opendrive import Road, read_road
+from sim.roads.opendrive import Road, read_road, read_root
 
 _AT_FAULT = re.compile(r"Attribute '(\w+)'.*?in definition of (?:an? )?(\w+)(?: '([^']*)')?")
 _MAY_GO = ("signal", "signalReference", "object", "objectReference", "controller", "connection", "control", "outline")
@@ -37,12 +36,7 @@ class OpenDriveMap:
 
     def __init__(self, source: Path) -> None:
         self._source = source
-        content = read_bytes(source, ".xodr file", ScenarioError)
-        if b"<!ENTITY" in content:
-            raise ScenarioError(complaint(source, "map", "no entities", "<!ENTITY"))
-        self.root = ET.fromstring(content)
-        for element in self.root.iter():
-            element.tag = element.tag.rpartition("}")[2]
+        self.root = read_root(source, ScenarioError)
         rules = [road.get("rule", "RHT") for road in self.root.iter("road")]
         self.left_hand = 2 * rules.count("LHT") > len(rules)
 
@@ -56,7 +50,8 @@ class OpenDriveMap:
         if left_hand:
             root = ET.fromstring(ET.tostring(root))
             for road in root.iter("road"):
-                _swap_sides(road, rule_is_left=road.get("rule") == "LHT")
+                if road.get("rule") == "LHT":
+                    _swap_sides(road)
             for link in root.iter("laneLink"):
                 _negate(link, "from", "to")
         target.write_bytes(ET.tostring(root))
@@ -103,10 +98,8 @@ class OpenDriveMap:
         return "".join(rows)
 
 
-def _swap_sides(road: ET.Element, *, rule_is_left: bool) -> None:
-    """Change the sign of the lanes of a road, whose left lanes lead along it, or not if it keeps right."""
-    if not rule_is_left:
-        return
+def _swap_sides(road: ET.Element) -> None:
+    """Change the sign of the lanes of a road."""
     for section in road.iter("laneSection"):
         left, right = section.find("left"), section.find("right")
         for side, name in ((left, "right"), (right, "left")):

@@ -203,3 +203,9 @@ def test_what_is_not_played_is_named(tmp_path: Path) -> None:
         read_tracks(path)
     (tmp_path / "road.xodr").unlink()
     refused({"a": [place]}, [], "file not found")
+
+
+def test_roads_in_a_namespace_are_read(tmp_path: Path) -> None:
+    path = write_road(tmp_path / "road.xodr")
+    path.write_text(path.read_text().replace("<OpenDRIVE", '<OpenDRIVE xmlns="http://code.asam.net/simulation"', 1))
+    assert OpenDrive(path).place("lane", LanePlace("7", -1, 10.0))[1] == pytest.approx(-0.5 * LANE_M)
