@@ -304,13 +304,13 @@ def _sweep(name: str, points: ArrayLike, pose: NDArray[np.float64], time_s: floa
     used = rows[:, :4].astype(np.float32)
     if not np.isfinite(used).all():
         raise DataError(complaint("Frame", name, "finite numbers", "nan or inf"))
-    columns: dict[str, Any] = {"intensity": used[:, 3]} if used.shape[1] > 3 else {}
-    for intensity in columns.values():
-        if len(intensity) and not (intensity.min() >= 0.0 and intensity.max() <= 1.0):
-            found = f"{intensity.min():g} to {intensity.max():g}"
-            hint = "; divide it by its full scale, such as 255"
-            raise DataError(complaint("Frame", f"intensity of {name}", "0 to 1", found, hint))
-    return make_sweep(used[:, :3], pose, time_s, **columns)
+    if used.shape[1] == 3:
+        return make_sweep(used, pose, time_s)
+    intensity = used[:, 3]
+    if (intensity < 0.0).any() or (intensity > 1.0).any():
+        found, hint = f"{intensity.min():g} to {intensity.max():g}", "; divide it by its full scale, such as 255"
+        raise DataError(complaint("Frame", f"intensity of {name}", "0 to 1", found, hint))
+    return make_sweep(used[:, :3], pose, time_s, intensity=intensity)
 
 
 def agent_order(agent_ids: list[int]) -> list[int]:

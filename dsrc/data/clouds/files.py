@@ -38,8 +38,6 @@ ENDINGS = (NUSCENES, ".bin", ".npy", ".pcd", ".ply")
 """Ends of the names of scans, the longest of those that fit first."""
 NUSCENES_SENSOR = "hdl-32e"
 """Preset of the LiDAR of nuScenes."""
-
-"""Scans that a worker looks through in one go."""
 _LABEL_BITS = 0xFFFF
 _DECLARE = (
     f"declare those of other files by {option('columns')} x,y,z,intensity,...; points of 20 bytes, as nuScenes has "

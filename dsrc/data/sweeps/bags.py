@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.sweeps.layout import BoxRows, Labels, Layout, poses_of, unit_intensity
+from sensors.frame import agent_order
 from sensors.sweep import Sweep, make_sweep
 from sim.boxes import CLASSES
 from sim.errors import DataError, SettingsError, complaint
@@ -94,10 +95,8 @@ class Bag(Layout):
             ids = [int(name[1]) if name else row for row, name in enumerate(named)]
             if len(set(ids)) < len(ids):
                 ids = list(range(len(ids)))
-            # Agents in the order of their folders in OPV2V, roadside units last.
-            order = sorted(range(len(ids)), key=lambda row: (ids[row] < 0, str(ids[row])))
-            self._topics = [self._topics[row] for row in order]
-            self.agents = tuple(ids[row] for row in order)
+            self.agents = tuple(agent_order(ids))
+            self._topics = [self._topics[ids.index(agent)] for agent in self.agents]
             self.kinds = tuple("roadside" if agent < 0 else "vehicle" for agent in self.agents)
             self._stamps = self._index.clouds[self._topics[0]] if self._topics else []
             self.frames = tuple(range(len(self._stamps)))
@@ -168,7 +167,7 @@ class Bag(Layout):
 
     def files(self, i: int) -> list[Path]:
         """Return the file, or the files of the folder."""
-        return [self.path] if self.path.is_file() else sorted(path for path in self.path.iterdir() if path.is_file())
+        return _files(self.path)
 
     def _near(self, topic: str, i: int) -> tuple[int, int]:
         """Return the times of the message of a topic that is nearest to a frame."""

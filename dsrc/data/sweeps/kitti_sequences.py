@@ -134,8 +134,8 @@ class KittiTracking(Layout):
             found.setdefault(int(words[0]), []).append((number, line))
         return found
 
-    def _read_places(self) -> list[NDArray[np.float64]] | None:
-        """Return the (4, 4) poses of the inertial unit, None without its file."""
+    def _read_places(self) -> NDArray[np.float64] | None:
+        """Return the (N, 4, 4) poses of the inertial unit, None without its file."""
         if not self._oxts.is_file():
             return None
         rows = _rows(self._oxts, 6, "GPS and inertial unit")
@@ -146,23 +146,12 @@ class KittiTracking(Layout):
         if not np.isfinite(place).all():
             raise DataError(complaint(self._oxts, "latitude", "degrees within -90 and 90", "others"))
         place += [0.0, 0.0, _IMU_M] - place[0]
-        angles = zip(*rows[:, 3:6].T.tolist(), place, strict=True)
-        return [_rotated(roll, pitch, yaw, spot) for roll, pitch, yaw, spot in angles]
+        roll, pitch, yaw = rows[:, 3:6].T
+        return pose_matrix(place, yaw, pitch, roll)
 
 
 _IMU_M = 0.93
 """Height of the inertial unit above the ground, m."""
-
-
-def _rotated(roll: float, pitch: float, yaw: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (4, 4) pose Rz(yaw) Ry(pitch) Rx(roll) at a place."""
-    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(angle), np.sin(angle)) for angle in (roll, pitch, yaw))
-    pose = np.eye(4)
-    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    pose[:3, :3], pose[:3, 3] = about_z @ about_y @ about_x, at
-    return pose
 
 
 class SemanticKitti(Layout):

@@ -262,7 +262,8 @@ def _read_tables(version: Path, state: tuple[tuple[str, int, int], ...]) -> Tabl
     lidars = {row.token: row.model for row in _rows(version, "sensor", Sensor) if row.channel == CHANNEL}
     mounts = {row.token: row for row in _rows(version, "calibrated_sensor", Pose) if row.sensor_token in lidars}
     places = {row.token: row for row in _rows(version, "ego_pose", Pose)}
-    mount_poses, body_poses = (_poses(version / f"{name}.json", rows) for name, rows in _named(mounts, places))
+    mount_poses = _poses(version / "calibrated_sensor.json", mounts)
+    body_poses = _poses(version / "ego_pose.json", places)
     listed = version / "sample_annotation.json"
     notes: dict[str, list[Annotation]] = {}
     for note in _rows(version, "sample_annotation", Annotation) if listed.is_file() else ():
@@ -307,10 +308,6 @@ T = TypeVar("T")
 
 def _rows(version: Path, name: str, kind: type[T]) -> list[T]:
     return read_json(version / f"{name}.json", list[kind])  # type: ignore[valid-type]
-
-
-def _named(mounts: dict[str, Pose], places: dict[str, Pose]) -> list[tuple[str, dict[str, Pose]]]:
-    return [("calibrated_sensor", mounts), ("ego_pose", places)]
 
 
 def _poses(path: Path, rows: dict[str, Pose]) -> dict[str, NDArray[np.float64]]:
