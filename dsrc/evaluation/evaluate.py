@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from dsrc.data.drives import open_drives
 from dsrc.detectors.levelled import RECORDED, check_height
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
@@ -14,13 +15,12 @@ from dsrc.evaluation.figures.points import robustness_scatter
 from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.report.report import provenance_of, stored_index, write_results
 from dsrc.evaluation.results import CLEAN, Row, summary_rows
-from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, run_plan
+from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, fitting_kinds, run_plan
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Evaluation
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import write_figure
-from sensors.corruptions import corruption_kinds
 from sim.errors import SettingsError, complaint
 from sim.radio import IDEAL
 
@@ -89,14 +89,15 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
     height = check_height("evaluate", config.height)
     use: dict[str, bool | int | float | str] = {} if height == RECORDED else {"height": height}
     methods = [MethodSpec(name=name, detectors=(path,), use=use) for name, path in files.items()]
-    if config.ego_alone:
+    drives = open_drives(config.data)
+    if config.ego_alone and any(len(drive.agents) > 1 for drive in drives):
         first, path = next(iter(files.items()))
         methods.append(MethodSpec(name=f"{first}, {EGO_ALONE}", detectors=(path,), use=use, agents=1))
     plan = Benchmark(
         name="evaluate",
         methods=tuple(methods),
         datasets=(DatasetSpec(name=config.data.name or "data", drives=(str(config.data),)),),
-        corruption=corruption_kinds(config.corruption, config.family) or (CLEAN,),
+        corruption=fitting_kinds("evaluate", config.corruption, config.family, drives) or (CLEAN,),
         severity=(config.severity,),
         family=(config.family,),
         corrupted_agents=config.corrupted_agents,

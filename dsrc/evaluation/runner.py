@@ -4,6 +4,7 @@ An interrupted benchmark resumes, and a new method costs only its own cells.
 """
 
 import hashlib
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.drives import Drive, labelled_frames, list_drives, open_drive
 from dsrc.data.sample import DetectorSettings
 from dsrc.detectors.open import close_detector, detector_sha256, open_detector
 from dsrc.detectors.texts import kind_of
@@ -30,8 +31,11 @@ from dsrc.options.detection import Device
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.lock import locked
 from dsrc.runs.study import Study, reuse_entry
-from sim.errors import SettingsError, complaint
+from sensors.corruptions import CLEAN, Condition, Family, conditions_of, corruption_kinds, drive_seed
+from sim.errors import DataError, SettingsError, UserError, complaint
 from sim.kept.code_hash import code_hash, versions_with
+
+_log = logging.getLogger(__name__)
 
 CHUNK = 50
 """Frames of a unit of work, the most that an interruption loses."""
@@ -160,7 +164,8 @@ def run_plan(
         judged: False takes frames without ground truth too.
 
     Raises:
-        UserError: a file, a drive or a setting is wrong; all cells that can be computed are there.
+        UserError: a file, a drive or a setting is wrong, or a sweep lacks what a corruption needs; of a drive that is
+            damaged further on, all cells that can be computed are there.
     """
     check_device(plan.name, device)
     trained = {m.name: [_trained(text, m, engine) for text in m.detectors] for m in plan.methods}
@@ -174,6 +179,10 @@ def run_plan(
     datasets = {d.name: [r for folder in d.drives for r in _readers(folder)] for d in plan.datasets}
     positions = {name: frame_positions(readers, plan.frames, judged) for name, readers in datasets.items()}
     drives = {name: {str(r.drive): r.digest() for r in readers} for name, readers in datasets.items()}
+    conditions = conditions_of(plan.corruption, plan.severity, plan.family, plan.corrupted_agents)
+    for name, readers in datasets.items():
+        for error in _refusals(readers, positions[name], conditions, plan.seed).values():
+            raise error
     cases = cases_of(plan)
     cells = _CellPlanner(plan, device, engine, trained, datasets, positions, drives)
     folder = out / "cells"
@@ -191,6 +200,50 @@ def run_plan(
     named = {name: {Path(p).name: digest for p, digest in listed.items()} for name, listed in drives.items()}
     frames = {name: tuple(map(len, of_drives)) for name, of_drives in positions.items()}
     return BenchmarkResult(plan, trained, named, frames, entries, made, engine, reuse_entry(folder, jobs))
+
+
+def fitting_kinds(where: str, names: Sequence[str], family: Family, drives: Sequence[Drive]) -> tuple[str, ...]:
+    """Return kinds of corruption by name, without those of a group that the drives' sweeps refuse, which are logged.
+
+    Args:
+        where: begins the messages.
+        names: see `corruption_kinds`; a kind that is named itself stays, and `run_plan` refuses it.
+    """
+    kinds = corruption_kinds(names, family, where)
+    refused = _refusals(drives, list(map(labelled_frames, drives)), conditions_of(kinds, (1,), (family,)), 0)
+    left_out = [one.kind for one in refused if one.kind not in names]
+    if left_out:
+        _log.warning(
+            "%s: leaves out %s, which the sweeps do not take: %s",
+            where,
+            ", ".join(left_out),
+            next(iter(refused.values())),
+        )
+    return tuple(kind for kind in kinds if kind not in left_out)
+
+
+def _refusals(
+    drives: Sequence[Drive], positions: Sequence[Sequence[int]], conditions: Iterable[Condition], seed: int
+) -> dict[Condition, DataError]:
+    """Return the conditions that the first frame refuses, such as missing beams of clouds without rings, and why.
+
+    Each kind is tried once; a frame that cannot be read is told where it is evaluated.
+    """
+    drive, first = next(((drive, own[0]) for drive, own in zip(drives, positions, strict=True) if own), (None, 0))
+    kinds = {(one.kind, one.family): one for one in conditions if one.kind != CLEAN}
+    if drive is None or not kinds:
+        return {}
+    try:
+        frame = drive.read(first)
+    except UserError:
+        return {}
+    refused = {}
+    for condition in kinds.values():
+        try:
+            condition.apply(frame, drive_seed(seed, drive.drive.name))
+        except DataError as error:
+            refused[condition] = DataError(f"{drive.drive}: {error}")
+    return refused
 
 
 def check_device(what: str, device: Device) -> None:

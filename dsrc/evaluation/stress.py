@@ -30,7 +30,7 @@ from dsrc.evaluation.metrics.intervals import (
 )
 from dsrc.evaluation.report.report import provenance_of, stored_index
 from dsrc.evaluation.results import CLEAN, condition_title
-from dsrc.evaluation.runner import BenchmarkResult, CaseResult, run_plan
+from dsrc.evaluation.runner import BenchmarkResult, CaseResult, fitting_kinds, run_plan
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Stressing
 from dsrc.options.fields import takes_fields
@@ -38,7 +38,7 @@ from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import WIDTH_IN, figure_style, panels, styles_of, write_figure
 from dsrc.tables.files import csv_text, json_text
 from dsrc.tables.table import Column, Table, TableRow
-from sensors.corruptions import Condition, corruption_kinds
+from sensors.corruptions import Condition
 from sim.errors import SettingsError, complaint
 from sim.files import write_file
 
@@ -173,11 +173,13 @@ def _plans(config: Stressing) -> list[Benchmark]:
     height = check_height("stress", config.height)
     use: dict[str, bool | int | float | str] = {} if height == RECORDED else {"height": height}
     groups = config.corrupted_agents
-    if all(len(drive.agents) == 1 for drive in open_drives(config.data)):
+    drives = open_drives(config.data)
+    if all(len(drive.agents) == 1 for drive in drives):
         groups = tuple(who for who in groups if who not in ("ego", "helpers")) or ("all",)  # they are all, or none
+    fitting = fitting_kinds("stress", config.corruption, config.family, drives)
     plans = []
     for who in groups:
-        kinds = [kind for kind in corruption_kinds(config.corruption, config.family, "stress") if _fits(kind, who)]
+        kinds = [kind for kind in fitting if _fits(kind, who)]
         plan = Benchmark(
             name="stress",
             methods=(MethodSpec(name=name, detectors=(text,), use=use),),

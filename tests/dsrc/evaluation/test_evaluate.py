@@ -11,7 +11,8 @@ from PIL import Image
 from dsrc.evaluation.evaluate import evaluate_drives, plan_of_evaluation
 from dsrc.evaluation.results import Row, find_row
 from dsrc.options.detection import Evaluation
-from sim.errors import SettingsError
+from sim.errors import DataError, SettingsError
+from tests.dsrc.data.sweeps.trees import kitti_object
 from tests.dsrc.evaluation.small import write_detector, write_drives
 
 FILES = {
@@ -102,6 +103,21 @@ def test_clean_only_and_cooperative_only(world: Path) -> None:
     # Without a corruption nothing is lost: a map of what is lost would be empty.
     assert files_in(world / "clean") >= FILES - {"mce_map.png"}
     assert not (world / "clean" / "mce_map.png").exists()
+
+
+def test_what_the_sweeps_do_not_take_is_left_out_of_a_group_or_refused_before_the_work(
+    world: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    # Points of a KITTI tree have no rings, and those of this one no comb of elevations either.
+    alone = {"data": kitti_object(tmp_path / "kitti"), "checkpoint": (str(world / "plain.pt"),), "frames": 1}
+    with pytest.raises(DataError, match=r"kitti.*: frame 0: agent .*: beam_missing: expected points with their rings"):
+        evaluate_drives(config_of(world, "named", corruption=("point_dropping", "beam_missing"), **alone))
+    assert not (world / "named" / "cells").exists()
+    rows = evaluate_drives(config_of(world, "group", corruption=("paper_six",), **alone))
+    assert "evaluate: leaves out beam_missing" in caplog.text
+    kinds = {row.condition for row in rows}
+    assert "beam_missing" not in kinds and {"clean", "fog"} <= kinds
+    assert {row.method for row in rows} == {"plain"}  # one agent is the ego alone already
 
 
 def test_results_that_are_replaced_are_named(world: Path, caplog: pytest.LogCaptureFixture) -> None:
