@@ -1,6 +1,7 @@
 """The door of detectors: any detector by the text that `--checkpoint` takes."""
 
 import hashlib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -74,8 +75,9 @@ def _adjusted(detector: Detector, text: str, use: Use) -> Detector:
 def detector_sha256(text: str | Path, detector: SampleDetector | None = None) -> str:
     """Return the SHA-256 of all that tells a detector from others, for the keys of its results.
 
-    It is that of a detector file; of an ONNX file and the version of its runtime; of the name of a class and its
-    source; of the command or address of a process, the name that it says, and the files among the command's words.
+    It is that of a detector file; of an ONNX file, its external data and the version of its runtime; of the name of a
+    class and its source; of the command or address of a process, the name that it says, and the files among the
+    command's words.
 
     Args:
         detector: opened; needed of a process, which is opened where it is left out.
@@ -87,7 +89,7 @@ def detector_sha256(text: str | Path, detector: SampleDetector | None = None) ->
         if not Path(text).is_file():
             raise CheckpointError(f"{text}: no such checkpoint file")
         own = file_sha256(Path(text))
-        return own if kind == "file" else _hash_of([own, runtime_version()])
+        return own if kind == "file" else _hash_of([own, _external_data(Path(text)), runtime_version()])
     inner = process_of(detector)
     opened = inner or ProcessDetector(text)
     words = command_of(text) if kind == "pipe" else []
@@ -108,6 +110,18 @@ def process_of(detector: SampleDetector | None) -> ProcessDetector | None:
     """Return the detector that a process is, levelled or not; None of another."""
     inner = detector.inner if isinstance(detector, LevelledDetector) else detector
     return inner if isinstance(inner, ProcessDetector) else None
+
+
+_LOCATION = re.compile(rb"\x0a\x08location\x12([\x01-\x7f])")
+"""Entry of a tensor's external data, the key `location` and the length of its value, as onnx.proto has it."""
+
+
+def _external_data(path: Path) -> dict[str, str]:
+    """Return the SHA-256 of the files that hold weights of an ONNX file, by their names."""
+    content = path.read_bytes()
+    places = {content[one.end() : one.end() + one[1][0]] for one in _LOCATION.finditer(content)}
+    files = {name: path.parent / name for name in sorted(place.decode(errors="replace") for place in places)}
+    return {name: file_sha256(file) for name, file in files.items() if file.is_file()}
 
 
 def _hash_of(value: Any) -> str:

@@ -8,7 +8,7 @@ import pytest
 from dsrc.data.drives import open_drives
 from dsrc.data.sample import make_sample
 from dsrc.detectors.check import check_detector
-from dsrc.detectors.open import open_detector
+from dsrc.detectors.open import detector_sha256, open_detector
 from dsrc.evaluation.find import detect_drives
 from dsrc.evaluation.scoring.read import read_detections
 from dsrc.models.storage.checkpoint import load_detector
@@ -68,6 +68,20 @@ def test_a_file_of_points_to_boxes_is_a_detector_of_the_range_that_it_says(tmp_p
     mean = float(np.concatenate(sample.clouds).mean())
     assert found.score == pytest.approx(1 / (1 + np.exp(-mean)), abs=1e-6)
     check_detector(str(path))
+
+
+def test_weights_beside_the_file_are_part_of_its_hash(tmp_path: Path) -> None:
+    path = write_points_to_boxes(tmp_path / "theirs.onnx", {"range_m": RANGE})
+    model = onnx.load(path)
+    onnx.external_data_helper.convert_model_to_external_data(
+        model, location="weights.bin", size_threshold=50, convert_attribute=True
+    )
+    onnx.save(model, path)
+    assert open_detector(path).settings.request.max_agents == 1
+    weights, before = tmp_path / "weights.bin", detector_sha256(path)
+    assert detector_sha256(path) == before
+    weights.write_bytes(weights.read_bytes()[:-1] + b"\x01")
+    assert detector_sha256(path) != before
 
 
 def test_a_file_that_says_no_range_is_refused(tmp_path: Path) -> None:
