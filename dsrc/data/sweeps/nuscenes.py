@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.clouds.cloud import columns_of
+from dsrc.data.clouds.files import NUSCENES_SENSOR
+from dsrc.data.clouds.intensity import EIGHT_BIT
 from dsrc.data.jsonio import read_json
 from dsrc.data.sweeps.layout import (
     IGNORED,
@@ -35,10 +37,8 @@ from sensors.presets import LIDARS, get_lidar
 from sensors.sweep import Sweep, make_sweep
 from sim.errors import DataError, complaint
 
-SENSOR = "hdl-32e"
 CHANNEL = "LIDAR_TOP"
 _MOST_RINGS = 1 << 12
-FULL_SCALE = 255.0
 FORWARD_FROM_RIGHT = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """(4, 4) from nuScenes' axes of a LiDAR, x right and y forward, to ours, x forward and y left."""
 CLASSES = {
@@ -108,7 +108,7 @@ class Sensor(msgspec.Struct):
 
     token: str
     channel: str
-    model: str = SENSOR
+    model: str = NUSCENES_SENSOR
 
 
 class Annotation(msgspec.Struct):
@@ -213,7 +213,7 @@ class NuScenes(Layout):
         if spec is None:
             rings = int(below.max(initial=0)) + 1
         ring = rings - 1 - below.astype(np.int64)
-        columns: dict[str, Any] = {"intensity": unit_intensity(path, rows[:, 3], FULL_SCALE), "ring": ring}
+        columns: dict[str, Any] = {"intensity": unit_intensity(path, rows[:, 3], EIGHT_BIT), "ring": ring}
         if spec is not None and not spec.prisms:
             columns["column"] = column = columns_of(points, ring, spec)
             columns["time_offset"] = spec.time_offset[ring, column]

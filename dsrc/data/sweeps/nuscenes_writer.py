@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.clouds.intensity import EIGHT_BIT
 from dsrc.data.formats.mcap.file import quaternion
-from dsrc.data.sweeps.nuscenes import CHANNEL, FORWARD_FROM_RIGHT, FULL_SCALE
+from dsrc.data.sweeps.nuscenes import CHANNEL, FORWARD_FROM_RIGHT
 from sensors.frame import Frame
 from sim.boxes import CLASSES
 from sim.files import write_file
@@ -55,7 +56,7 @@ class NuScenesWriter:
         sweep = agent.sweep
         rings = int(sweep.ring.max(initial=0)) + 1 if sweep.spec is None else sweep.spec.rings
         points = [-sweep.points[:, 1], sweep.points[:, 0], sweep.points[:, 2]]
-        intensity = sweep.intensity.astype(np.float64) * FULL_SCALE
+        intensity = sweep.intensity.astype(np.float64) * EIGHT_BIT
         cloud = np.column_stack([*points, intensity, rings - 1 - sweep.ring.astype(np.int64)]).astype("<f4")
         name = f"samples/{CHANNEL}/{_token(scene)}__{number:06d}.pcd.bin"
         write_file(self.out / name, cloud.tobytes())
