@@ -13,7 +13,7 @@ from dsrc.detectors.answers import checked
 from dsrc.detectors.classes import OwnDetector
 from dsrc.detectors.open import close_detector, open_detector
 from dsrc.ops.detections import Detections
-from sim.boxes import Boxes, concatenate
+from sim.boxes import Boxes
 from sim.errors import SettingsError, UserError, one_line
 
 _GROUND_M = -1.9
@@ -109,19 +109,14 @@ class _Check:
         return "expected the clouds and poses as they were, found others after detect" if changed else ""
 
     def _again(self) -> str:
-        return (
-            ""
-            if _same(*(self._detect(self.sample) for _ in range(2)))
-            else ("expected the same detections of the same sample, found others")
-        )
+        same = _same(self._detect(self.sample), self._detect(self.sample))
+        return "" if same else "expected the same detections of the same sample, found others"
 
     def _truth(self) -> str:
         none = replace(self.sample, boxes=Boxes.zeros(), agent_boxes=(Boxes.zeros(),) * len(self.sample.clouds))
-        return (
-            ""
-            if _same(self._detect(self.sample), self._detect(none))
-            else ("expected the same detections without `sample.boxes`, found others: it reads the ground truth")
-        )
+        same = _same(self._detect(self.sample), self._detect(none))
+        expected = "expected the same detections without `sample.boxes`, found others: it reads the ground truth"
+        return "" if same else expected
 
 
 def _same(one: Detections, other: Detections) -> bool:
@@ -138,9 +133,7 @@ def _street(request: SampleRequest) -> Sample:
     poses = np.tile(np.eye(4), (agents, 1, 1))
     poses[:, 0, 3] = 12.0 * np.arange(agents)
     clouds = tuple(_cloud(rng, cars, pose[:3, 3], low, high) for pose in poses)
-    truth = (cars,) * agents
-    whole = concatenate([cars])
-    return Sample("check/1/000000", tuple(range(1, agents + 1)), clouds, poses, whole, truth)
+    return Sample("check/1/000000", tuple(range(1, agents + 1)), clouds, poses, cars, (cars,) * agents)
 
 
 _PLACES = ((8.0, -5.0, 0.0), (16.0, 4.0, 3.1), (-12.0, 6.0, 1.5))

@@ -21,6 +21,8 @@ from sim.radio import IDEAL
 def detect_drives(config: Detection, pool: Pool = SERIAL, progress: Progress | None = None) -> tuple[Row, list[Path]]:
     """Detect in the frames of drives, write the boxes and store them for `dsrc view` and `score`; resume what is there.
 
+    Boxes out of the region that the labels of a frame cover are left out, as in `score`; without labels all are kept.
+
     Args:
         config: see `Detection`.
         pool: workers, of one thread each.
