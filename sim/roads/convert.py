@@ -64,7 +64,9 @@ _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.s
 _MOST_FAULTS = 20
 _OFFSET = re.compile(r'<location netOffset="([^",]+),([^",]+)"')
 
-_CODE = (__file__, *(one.__file__ for one in (rounding, kerbside, openstreetmap, opendrive, opendrive_map)))
+_CODE = (
+    __file__, rounding.__file__, kerbside.__file__, openstreetmap.__file__, opendrive.__file__, opendrive_map.__file__
+)  # fmt: skip
 CONVERSION = hashlib.sha256(b"".join(Path(file).read_bytes() for file in _CODE)).hexdigest()
 """Version of the conversion, part of the cache key: bump it with the code."""
 
