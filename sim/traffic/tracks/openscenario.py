@@ -11,21 +11,19 @@ has a centre; a polyline is interpolated between its vertices; the shapes of tra
 import logging
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import DataError, complaint
 from sim.reading import parsing
 from sim.roads.opendrive import LanePlace, OpenDrive
 from sim.traffic.tracks.base import Recording, Track, make_track
+from sim.traffic.tracks.openscenario_motion import SHAPES, STEP_S, Change, Polyline, Pose, User
 from sim.traffic.tracks.xml_file import number_of, read_xml_bytes
 
-STEP_S = 0.05
 LONGEST_S = 600.0
 _AFTER_S = 5.0
 """Time played after the last action of a storyboard without a stop at a time."""
@@ -41,74 +39,8 @@ _IGNORED = (
     "EnvironmentAction",
 )
 """Actions that change no motion."""
-_SHAPES: dict[str, Callable[[float], float]] = {
-    "linear": lambda u: u,
-    "cubic": lambda u: u * u * (3.0 - 2.0 * u),
-    "sinusoidal": lambda u: 0.5 - 0.5 * math.cos(math.pi * u),
-    "step": lambda u: 1.0,
-}
 
 _log = logging.getLogger(__name__)
-
-
-class _Pose(NamedTuple):
-    x: float
-    y: float
-    z: float
-    heading: float
-
-
-@dataclass
-class _Change:
-    """Transition of a speed or of a place across the lanes: from where, to where, since when, over which length."""
-
-    start: float
-    end: float
-    shape: Callable[[float], float]
-    length: float
-    by_distance: bool
-    done: float = 0.0
-
-    def step(self, time_s: float, way_m: float) -> float:
-        """Go on and return the new value."""
-        self.done += way_m if self.by_distance else time_s
-        share = 1.0 if self.length <= 0.0 else min(self.done / self.length, 1.0)
-        return self.start + (self.end - self.start) * self.shape(share)
-
-    @property
-    def over(self) -> bool:
-        return self.done >= self.length
-
-
-@dataclass
-class _User:
-    """Road user: box in its own axes, and its state while the storyboard is played."""
-
-    class_name: str
-    size: tuple[float, float, float]
-    middle: tuple[float, float, float]
-    pose: _Pose | None = None
-    lane: LanePlace | None = None
-    speed: float = 0.0
-    speeding: _Change | None = None
-    shifting: _Change | None = None
-    follow: "_Polyline | None" = None
-    followed: float = 0.0
-    rows: list[tuple[float, ...]] = field(default_factory=list)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Polyline:
-    """(K, 5) rows of x, y, z, heading, and time or way; `timed` says which."""
-
-    rows: NDArray[np.float64]
-    timed: bool
-
-    def at(self, value: float) -> _Pose:
-        """Return the pose at a time or after a way; before and after it is that of the ends."""
-        key = self.rows[:, 4]
-        x, y, z, heading = (float(np.interp(value, key, column)) for column in self.rows[:, :4].T)
-        return _Pose(x, y, z, heading)
 
 
 class _Action(NamedTuple):
@@ -144,7 +76,8 @@ class _Player:
         logic = root.find("RoadNetwork/LogicFile")
         roads = "" if logic is None else self._text(logic, "filepath", "")
         self._roads = OpenDrive(path.parent / roads) if roads else None
-        self.users = {name: user for name, user in self._entities() if user is not None}
+        self._entities = dict(self._read_entities())
+        self.users = {name: user for name, user in self._entities.items() if user is not None}
 
     def play(self) -> Recording:
         """Return the tracks of all road users."""
@@ -162,7 +95,7 @@ class _Player:
             time_s = step * STEP_S
             for user in self.users.values():
                 if step and user.pose is not None:
-                    self._move(user, time_s)
+                    user.move(time_s, self._roads)
             while row < len(actions) and actions[row].time_s <= time_s + 1e-9:
                 self._act(actions[row].time_s, actions[row].entity, actions[row].element)
                 row += 1
@@ -172,13 +105,13 @@ class _Player:
         outlines = () if self._roads is None else tuple(self._roads.outlines())
         return Recording(tuple(self._track(name, user) for name, user in self.users.items() if user.rows), outlines)
 
-    def _track(self, name: str, user: _User) -> Track:
+    def _track(self, name: str, user: User) -> Track:
         time_s, x, y, z, heading = np.array(user.rows, np.float64).T
         cos, sin, (ahead, left, up) = np.cos(heading), np.sin(heading), user.middle
         center = np.column_stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left, z + up])
         return make_track(self.path, name, user.class_name, user.size, time_s, center, heading)
 
-    def _entities(self) -> Iterator[tuple[str, _User | None]]:
+    def _read_entities(self) -> Iterator[tuple[str, User | None]]:
         for one in self._root.findall("Entities/ScenarioObject"):
             name = self._text(one, "name")
             body = next((part for tag in ("Vehicle", "Pedestrian") if (part := one.find(tag)) is not None), None)
@@ -199,7 +132,7 @@ class _Player:
                 raise DataError(complaint(self.path, f"entity '{name}'", "a BoundingBox", "none"))
             length, width, height = (self._number(size, key) for key in ("length", "width", "height"))
             x, y, z = (self._number(center, key) for key in "xyz")
-            yield name, _User(_CLASSES[kind], (length, width, height), (x, y, z))
+            yield name, User(_CLASSES[kind], (length, width, height), (x, y, z))
 
     def _storyboard(self, board: ET.Element) -> Iterator[_Action]:
         for act in board.findall("Story/Act"):
@@ -258,7 +191,7 @@ class _Player:
             _log.warning("%s: an action without motion is left out", self.path)
             return
         if name not in self.users:
-            if name and self._root.find(f"Entities/ScenarioObject[@name='{name}']") is not None:
+            if name in self._entities:
                 return  # left out
             raise DataError(complaint(self.path, "entityRef", "a road user", name or action.tag))
         user = self.users[name]
@@ -285,14 +218,14 @@ class _Player:
         else:
             self._put(user, action.find("AddEntityAction/Position"))
 
-    def _teleport(self, user: _User, time_s: float, action: ET.Element) -> None:
+    def _teleport(self, user: User, time_s: float, action: ET.Element) -> None:
         self._put(user, action.find("Position"))
 
-    def _put(self, user: _User, position: ET.Element | None) -> None:
+    def _put(self, user: User, position: ET.Element | None) -> None:
         user.pose, user.lane = self._place(position)
         user.follow = user.shifting = None
 
-    def _speed(self, user: _User, time_s: float, action: ET.Element) -> None:
+    def _speed(self, user: User, time_s: float, action: ET.Element) -> None:
         absolute, relative = (action.find(f"SpeedActionTarget/{tag}") for tag in _TARGETS)
         if absolute is not None:
             wanted = self._number(absolute, "value")
@@ -306,7 +239,7 @@ class _Player:
         if user.speeding.over:
             user.speed, user.speeding = wanted, None
 
-    def _change_lane(self, user: _User, time_s: float, action: ET.Element) -> None:
+    def _change_lane(self, user: User, time_s: float, action: ET.Element) -> None:
         lane = self._lane_of(user)
         if lane is None or self._roads is None:
             raise DataError(
@@ -331,7 +264,7 @@ class _Player:
         dynamics = action.find("LaneChangeActionDynamics")
         user.shifting = self._transition(dynamics, user.lane.offset, offset)
 
-    def _follow(self, user: _User, time_s: float, action: ET.Element) -> None:
+    def _follow(self, user: User, time_s: float, action: ET.Element) -> None:
         trajectory = next(action.iter("Trajectory"), None)
         vertices = [] if trajectory is None else trajectory.findall("Shape/Polyline/Vertex")
         if len(vertices) < 2:
@@ -355,96 +288,41 @@ class _Player:
             key = np.concatenate([[0.0], np.cumsum(np.hypot(*ways.T))])
         if (np.diff(key) < 0.0).any():
             raise DataError(complaint(self.path, "Vertex", "times that ascend", "one before another"))
-        user.follow, user.followed = _Polyline(np.column_stack([places, key]), timing is not None), 0.0
+        user.follow, user.followed = Polyline(np.column_stack([places, key]), timing is not None), 0.0
         user.lane = user.shifting = None
 
-    def _transition(self, dynamics: ET.Element | None, start: float, end: float) -> _Change:
+    def _transition(self, dynamics: ET.Element | None, start: float, end: float) -> Change:
         if dynamics is None:
             raise DataError(complaint(self.path, "action", "its dynamics", "none"))
         name, value = self._text(dynamics, "dynamicsShape"), self._number(dynamics, "value", 0.0)
-        if name not in _SHAPES:
-            raise DataError(complaint(self.path, "dynamicsShape", " or ".join(_SHAPES), name))
+        if name not in SHAPES:
+            raise DataError(complaint(self.path, "dynamicsShape", " or ".join(SHAPES), name))
         dimension = self._text(dynamics, "dynamicsDimension", "time")
         if name == "step":
             value = 0.0
         elif dimension == "rate":
             value = abs(end - start) / value if value > 0.0 else 0.0
-        return _Change(start, end, _SHAPES[name], value, dimension == "distance")
+        return Change(start, end, SHAPES[name], value, dimension == "distance")
 
-    def _move(self, user: _User, time_s: float) -> None:
-        """Move a road user by a step, up to a time."""
-        way_m = user.speed * STEP_S
-        if user.speeding is not None:
-            before = user.speed
-            user.speed = user.speeding.step(STEP_S, way_m)
-            way_m = 0.5 * (before + user.speed) * STEP_S
-            user.speeding = None if user.speeding.over else user.speeding
-        if user.follow is not None:
-            user.followed += way_m
-            before_pose = user.pose
-            user.pose = user.follow.at(time_s if user.follow.timed else user.followed)
-            if user.follow.timed and before_pose is not None:
-                user.speed = math.hypot(user.pose.x - before_pose.x, user.pose.y - before_pose.y) / STEP_S
-        elif user.lane is not None:
-            self._drive(user, way_m)
-        elif user.pose is not None:
-            x, y, z, heading = user.pose
-            user.pose = _Pose(x + way_m * math.cos(heading), y + way_m * math.sin(heading), z, heading)
-
-    def _drive(self, user: _User, way_m: float) -> None:
-        """Move along a lane, across it in a lane change, and on to the next road."""
-        assert user.lane is not None
-        assert self._roads is not None
-        lane, road = user.lane, self._roads.roads[user.lane.road]
-        before = self._roads.place("lane", lane)
-        turn = 0.0
-        if user.shifting is not None:
-            side = lane.offset
-            lane = lane._replace(offset=user.shifting.step(STEP_S, way_m))
-            left = (lane.offset - side) * (1.0 if lane.lane < 0 else -1.0)
-            turn = math.atan2(left, way_m) if way_m > 1e-6 else 0.0
-            user.shifting = None if user.shifting.over else user.shifting
-        ahead = 1.0 if lane.lane < 0 else -1.0
-        probe = min(max(lane.s + ahead * 0.5, 0.0), road.length)
-        there = road.middle(lane.lane, probe)
-        scale = 1.0
-        if there is not None and abs(probe - lane.s) > 1e-3:
-            x, y, _, _ = road.at(probe, there + lane.offset)
-            here = self._roads.place("lane", lane)
-            scale = max(math.hypot(x - here[0], y - here[1]) / abs(probe - lane.s), 0.1)
-        s = lane.s + ahead * way_m * math.cos(turn) / scale
-        if 0.0 <= s <= road.length and road.middle(lane.lane, s) is not None:
-            user.lane = lane._replace(s=s)
-            x, y, z, heading = self._roads.place("lane", user.lane)
-            user.pose = _Pose(x, y, z, heading + turn)
-            return
-        x, y, z, heading = before
-        x, y = x + way_m * math.cos(heading), y + way_m * math.sin(heading)
-        user.lane = self._roads.nearest(x + 0.5 * math.cos(heading), y + 0.5 * math.sin(heading))
-        user.pose = _Pose(x, y, z, heading)
-        user.shifting = None
-        if user.lane is None:
-            _log.warning("%s: a road user leaves the roads at %.1f, %.1f and goes straight on", self.path, x, y)
-
-    def _lane_of(self, user: _User) -> LanePlace | None:
+    def _lane_of(self, user: User) -> LanePlace | None:
         if user.lane is None and user.pose is not None and self._roads is not None:
             user.lane = self._roads.nearest(user.pose.x, user.pose.y)
         return user.lane
 
-    def _user(self, element: ET.Element) -> _User:
+    def _user(self, element: ET.Element) -> User:
         name = self._text(element, "entityRef")
         if name not in self.users:
             raise DataError(complaint(self.path, "entityRef", "a road user", name))
         return self.users[name]
 
-    def _place(self, position: ET.Element | None) -> tuple[_Pose, LanePlace | None]:
+    def _place(self, position: ET.Element | None) -> tuple[Pose, LanePlace | None]:
         """Return the pose of a position, and its lane where it names one."""
         one = None if position is None else next(iter(position), None)
         if one is None:
             raise DataError(complaint(self.path, "Position", "a place", "none"))
         if one.tag == "WorldPosition":
             x, y, z, heading = (self._number(one, key, 0.0 if key in "zh" else None) for key in "xyzh")
-            return _Pose(x, y, z, heading), None
+            return Pose(x, y, z, heading), None
         if one.tag == "LanePosition":
             lane = LanePlace(
                 self._text(one, "roadId"),
@@ -469,7 +347,7 @@ class _Player:
         if turned is not None and turned.get("h") is not None:
             h = self._number(turned, "h")
             heading = heading + h if self._text(turned, "type", "absolute") == "relative" else h
-        return _Pose(x, y, z, heading), lane
+        return Pose(x, y, z, heading), lane
 
     def _text(self, element: ET.Element, name: str, usual: str | None = None) -> str:
         text = element.get(name, usual)
