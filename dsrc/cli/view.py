@@ -90,15 +90,11 @@ class View(ServeOptions, frozen=True, kw_only=True):
         draws = self.picture is not None or self.animation is not None
         unused: dict[str, str] = {}
         if self.out is not None:
-            unused |= dict.fromkeys(
-                ("frame", "link", "host", "port", "allow_origin"), f"--out writes a page; {_LEAVE_OUT}"
-            )
+            unused |= dict.fromkeys(("frame", "link", *_OF_SERVER), f"--out writes a page; {_LEAVE_OUT}")
             if self.corruption == "clean":
                 unused |= dict.fromkeys(_OF_CORRUPTION, _ADD_CORRUPTION)
         elif draws:
-            unused |= dict.fromkeys(
-                ("host", "port", "allow_origin"), f"a picture is drawn without a server; {_LEAVE_OUT}"
-            )
+            unused |= dict.fromkeys(_OF_SERVER, f"a picture is drawn without a server; {_LEAVE_OUT}")
         else:
             unused["link"] = "{} says what a picture shows; add --picture or --animation"
         if not draws:

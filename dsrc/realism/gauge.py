@@ -126,7 +126,7 @@ def measure(
     samples = [sweep for row in sorted(found) for sweep in found[row]]
     if not samples:
         places = ", ".join(map(str, roots))
-        raise DataError(complaint(places, "sweeps", "those of vehicles", "none"))
+        raise DataError(complaint(places, "agents", "a vehicle with a sweep", "none"))
     return samples
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from dsrc.realism.figures import Samples
-from dsrc.realism.gauge import compare, families_of
+from dsrc.realism.gauge import compare, families_of, measure
+from sim.errors import DataError
 from tests.commands import dsrc
 from tests.dsrc.evaluation.small import write_drives
 
@@ -53,6 +54,12 @@ def test_a_family_is_the_mean_of_its_figures() -> None:
 def test_one_seed_gives_one_interval() -> None:
     real, far = ([street(np.random.default_rng(10 * side + k), 1.0 * side) for k in range(5)] for side in (0, 1))
     assert compare(real, far, seed=3) == compare(real, far, seed=3)
+
+
+def test_drives_without_a_vehicle_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dsrc.realism.gauge.sweeps_of", lambda frame: [])
+    with pytest.raises(DataError, match="data: agents: expected a vehicle with a sweep, found none"):
+        measure([write_drives(tmp_path / "data", drives=1)])
 
 
 def test_a_drive_beside_itself(tmp_path: Path) -> None:
