@@ -110,4 +110,7 @@ def _whole(values: NDArray[np.float64]) -> bool:
 
 def has_return(points: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Return the (P,) mask of (P, 3) points that are finite and not the origin: beams without a return are that."""
-    return np.isfinite(points).all(axis=1) & points.any(axis=1)
+    # Some processors raise a warning where a NaN is tested for truth, so that rows of finite values alone are tested.
+    kept = np.isfinite(points).all(axis=1)
+    kept[kept] = points[kept].any(axis=1)
+    return np.asarray(kept)
