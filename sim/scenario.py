@@ -165,6 +165,8 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """Scenario of a drive; times in s. An encounter (`conflict`) has its own roads and actors, others roads and demand.
 
     `attribution` names the owners of map data; `sim.catalog.attribution` adds those of the sources of the network.
+    `world` is the version of the static world and of what stands on it: 1 level and bare, 2 uneven and furnished. Unset
+    it is 1 and does not appear among the settings of a drive.
     """
 
     name: Annotated[str, Meta(pattern="^[A-Za-z0-9_-]+$")]
@@ -178,3 +180,9 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     step_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
     seed: Annotated[int, Meta(ge=0, lt=2**31)] = 0
     attribution: str = ""
+    world: Literal[1, 2] | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def uneven(self) -> bool:
+        """Whether the world is of version 2."""
+        return self.world == 2
