@@ -15,6 +15,7 @@ from dsrc.evaluation.detect import Method, evaluate_drive, frame_positions
 from dsrc.evaluation.find import detect_drives
 from dsrc.evaluation.scoring.read import read_detections
 from dsrc.evaluation.scoring.score import score
+from dsrc.realism.gauge import compare, measure
 from dsrc.training.samples import SampleStore
 from sensors.corruptions import Condition
 from sim.errors import DataError
@@ -34,7 +35,7 @@ FORMATS: dict[str, tuple[Callable[[Path], Path], str | None]] = {
     "folder of scans": (trees.scans, None),
 }
 WITHOUT_TRUTH = ("SemanticKITTI", "bag")
-VERBS = ("check", "convert", "corrupt", "detect", "evaluate", "train", "view", "score --truth")
+VERBS = ("check", "convert", "corrupt", "detect", "evaluate", "train", "view", "score --truth", "realism")
 
 
 @pytest.fixture(params=list(FORMATS))
@@ -159,6 +160,13 @@ def test_score_takes_the_truth_of_a_tree(tree: tuple[str, Path], tmp_path: Path)
     (tmp_path / "boxes.json").write_text(json.dumps({"frames": frames}))
     (result,) = score(tmp_path / "boxes.json", data, "opencood")
     assert result.ap["bev", 0.7] == pytest.approx(1.0)
+
+
+def test_realism_takes_the_clouds(tree: tuple[str, Path]) -> None:
+    sweeps = measure([tree[1]])
+    assert len(sweeps) >= FRAMES  # a bag has two sensors
+    assert {"range", "residual", "slope", "standing_15", "intensity_ground"} <= set(sweeps[0])
+    assert all(row.distance == 0.0 for row in compare(sweeps, sweeps))
 
 
 def test_the_page_has_a_row_for_each_format_and_a_column_for_each_verb() -> None:
