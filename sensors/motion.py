@@ -98,7 +98,7 @@ def _placement(actors: Actors) -> NDArray[np.float64]:
     table = np.zeros((len(actors), 6))
     table[:, :3] = actors.boxes.center
     table[:, 2] -= 0.5 * actors.boxes.size[:, 2]
-    table[:, 3], table[:, 4] = actors.boxes.yaw, actors.pitch
+    table[:, 3], table[:, 4], table[:, 5] = actors.boxes.yaw, actors.pitch, actors.roll
     return table
 
 

@@ -33,7 +33,7 @@ _PERFORMANCE = {"maxSpeed": "70", "maxAcceleration": "10", "maxDeceleration": "1
 
 @dataclass
 class _Run:
-    """Road user without a gap: rows of time, x, y, z, heading and pitch of its reference."""
+    """Road user without a gap: rows of time, x, y, z, heading, pitch and roll of its reference."""
 
     class_name: str
     size: NDArray[np.float64]
@@ -99,7 +99,7 @@ def _reference(actors: Actors, row: int, start: float) -> list[float]:
     yaw, pitch, (length, _, height) = boxes.yaw[row], actors.pitch[row], boxes.size[row]
     back = 0.0 if CLASSES[boxes.label[row]] == "pedestrian" else AXLE * length
     x, y, z = boxes.center[row] - back * np.array([np.cos(yaw), np.sin(yaw), 0.0]) - [0.0, 0.0, 0.5 * height]
-    return [actors.time_s - start, x, y, z, yaw, pitch]
+    return [actors.time_s - start, x, y, z, yaw, pitch, actors.roll[row]]
 
 
 def _text(value: float) -> str:
@@ -134,8 +134,8 @@ def _add_entity(entities: ET.Element, key: str, run: _Run) -> None:
 
 
 def _add_place(position: ET.Element, row: Sequence[float]) -> None:
-    _, x, y, z, yaw, pitch = map(_text, row)
-    ET.SubElement(position, "WorldPosition", x=x, y=y, z=z, h=yaw, p=pitch, r="0")
+    _, x, y, z, yaw, pitch, roll = map(_text, row)
+    ET.SubElement(position, "WorldPosition", x=x, y=y, z=z, h=yaw, p=pitch, r=roll)
 
 
 def _trigger(tag: str, time_s: float) -> ET.Element:

@@ -1,6 +1,6 @@
 """Traffic protocols, and the table of actors that every backend yields."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal, Protocol, Self
 
 import numpy as np
@@ -40,6 +40,7 @@ class Actors(Rows):
         name: (N,) names in the traffic simulation.
         signals: (N,) int32 bits of `SIGNALS`, as in SUMO.
         lane: (N,) ids of lanes in the road network, "" off the lanes.
+        roll: (N,) float64 rad, positive lowers the right side; left out: zero. Boxes ignore it, as they do pitch.
     """
 
     SHARED: ClassVar = ("time_s",)
@@ -53,12 +54,17 @@ class Actors(Rows):
     name: tuple[str, ...]
     signals: NDArray[np.int32]
     lane: tuple[str, ...]
+    roll: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if len(self.roll) == 0:
+            object.__setattr__(self, "roll", np.zeros(len(self.boxes)))
 
     def world_from_body(self) -> NDArray[np.float64]:
         """Return (N, 4, 4) poses of the footprint centres at road level."""
         base = self.boxes.center.copy()
         base[:, 2] -= 0.5 * self.boxes.size[:, 2]
-        return pose_matrix(base, self.boxes.yaw, self.pitch)
+        return pose_matrix(base, self.boxes.yaw, self.pitch, self.roll)
 
     def row(self, object_id: int) -> int:
         """Return the row of an object; KeyError for an object that is not on the road."""
@@ -92,6 +98,7 @@ class Actors(Rows):
             time_s=float(snapped(np.float64(self.time_s), TIME_S)),
             boxes=boxes,
             pitch=snapped(self.pitch, ANGLE_RAD),
+            roll=snapped(self.roll, ANGLE_RAD),
             velocity=snapped(self.velocity, VELOCITY_MPS),
             acceleration=snapped(self.acceleration, ACCELERATION_MPS2),
         )

@@ -38,6 +38,8 @@ LARGEST_M = 1e4
 _OBJECTS = {"id": "i8", "label": "i8", "size": "i8", "name": "U", "model": "U"}
 _RUNS = {"object": "i8", "start": "i8", "length": "i8"}
 _ROWS = ("x", "y", "z", "yaw", "pitch", "vx", "vy", "ax", "ay", "signals", "lane")
+_ROLL = "row/roll"
+"""Column that only a log of bodies that roll has."""
 
 
 class TrafficLog:
@@ -133,6 +135,7 @@ class TrafficLog:
             **dict(zip(("x", "y", "z"), center.T, strict=True)),
             "yaw": in_steps(_stack([a.boxes.yaw for a in entries], ())[order], ANGLE_RAD),
             "pitch": in_steps(_stack([a.pitch for a in entries], ())[order], ANGLE_RAD),
+            "roll": in_steps(_stack([a.roll for a in entries], ())[order], ANGLE_RAD),
             **dict(zip(("vx", "vy"), velocity.T, strict=True)),
             **dict(zip(("ax", "ay"), acceleration.T, strict=True)),
             "signals": _stack([a.signals for a in entries], ())[order].astype(np.int64),
@@ -170,20 +173,22 @@ def _folded(rows: dict[str, NDArray[np.int64]], length: NDArray[np.int64], step_
             name: differences(differences(rows[name], length, keep=True), length, keep=True)
             for name in ("x", "y", "yaw")
         },
-        **{name: differences(rows[name], length, keep=True) for name in ("z", "pitch", "signals", "lane")},
+        **{name: differences(rows[name], length, keep=True) for name in ("z", "pitch", "roll", "signals", "lane")},
         **{f"v{axis}": rows[f"v{axis}"] - _speed(moved[axis], step_s) for axis in "xy"},
         **{f"a{axis}": rows[f"a{axis}"] - _gain(turned[axis], step_s) for axis in "xy"},
     }
-    return {f"row/{name}": packed(left[name]) for name in _ROWS}
+    written = (*_ROWS, "roll") if rows["roll"].any() else _ROWS
+    return {f"row/{name}": packed(left[name]) for name in written}
 
 
 def _unfolded(columns: dict[str, NDArray]) -> dict[str, NDArray[np.int64]]:
     """Return the rows of packed columns, with the object and step of each."""
     length, step_s = columns["run/length"], float(columns["step_s"])
     rows = {name: unpacked(columns[f"row/{name}"]) for name in _ROWS}
+    rows["roll"] = unpacked(columns[_ROLL]) if _ROLL in columns else np.zeros_like(rows["pitch"])
     for name in ("x", "y", "yaw"):
         rows[name] = sums(sums(rows[name], length), length)
-    for name in ("z", "pitch", "signals", "lane"):
+    for name in ("z", "pitch", "roll", "signals", "lane"):
         rows[name] = sums(rows[name], length)
     for axis in "xy":
         rows[f"v{axis}"] = rows[f"v{axis}"] + _speed(differences(rows[axis], length), step_s)
@@ -226,7 +231,8 @@ def _check_columns(path: Path, columns: dict[str, NDArray]) -> None:
         raise DataError(complaint(path, "version", f"a traffic log of version {VERSION}", written, hint))
     tables = {"object": _OBJECTS, "run": _RUNS, "lane": {"name": "U"}, "step": {"time": "i8"}}
     expected = {f"{table}/{name}": kind for table, names in tables.items() for name, kind in names.items()}
-    for name, kind in {"step_s": "f8", "about": "U", **expected, **{f"row/{n}": "u1" for n in _ROWS}}.items():
+    rows = {**{f"row/{name}": "u1" for name in _ROWS}, **({_ROLL: "u1"} if _ROLL in columns else {})}
+    for name, kind in {"step_s": "f8", "about": "U", **expected, **rows}.items():
         if name not in columns or not columns[name].dtype.str[1:].startswith(kind):
             found = columns[name].dtype if name in columns else "nothing"
             raise DataError(complaint(path, name, f"an array of {kind}", str(found)))
@@ -236,7 +242,7 @@ def _check_columns(path: Path, columns: dict[str, NDArray]) -> None:
         for name in expected
     }
     count = int(columns["run/length"].sum())
-    shapes |= {f"row/{name}": (len(columns[f"row/{name}"]), count) for name in _ROWS}
+    shapes |= {name: (len(columns[name]), count) for name in rows}
     for name, shape in shapes.items():
         if columns[name].shape != shape:
             raise DataError(complaint(path, name, f"shape {shape}", str(columns[name].shape)))
@@ -292,4 +298,5 @@ def _actors(
         name=tuple(names["object/name"][row] for row in which),
         signals=rows["signals"].astype(np.int32),
         lane=tuple(names["lane/name"][row] for row in rows["lane"]),
+        roll=from_steps(rows["roll"], ANGLE_RAD),
     )

@@ -112,18 +112,7 @@ class StraightTraffic:
 
 
 def rows_of(actors: Actors, rows: list[int]) -> Actors:
-    index = np.array(rows, np.int64)
-    return replace(
-        actors,
-        boxes=actors.boxes[index],
-        pitch=actors.pitch[index],
-        velocity=actors.velocity[index],
-        acceleration=actors.acceleration[index],
-        model=tuple(actors.model[r] for r in rows),
-        name=tuple(actors.name[r] for r in rows),
-        signals=actors.signals[index],
-        lane=tuple(actors.lane[r] for r in rows),
-    )
+    return actors[np.array(rows, np.int64)]
 
 
 def toy_scenario(**rule: Any) -> Scenario:

@@ -95,7 +95,7 @@ def test_the_part_that_another_body_hides_is_the_angle_that_it_covers() -> None:
         ),
         **{
             name: np.concatenate([getattr(panel, name)] * 2)
-            for name in ("pitch", "velocity", "acceleration", "signals")
+            for name in ("pitch", "roll", "velocity", "acceleration", "signals")
         },
         **{name: getattr(panel, name) * 2 for name in ("model", "name", "lane")},
     )

@@ -31,6 +31,7 @@ def actors(time_s: float, ids: list[int], rng: np.random.Generator) -> Actors:
         name=tuple(f"v{i}" for i in ids),
         signals=rng.integers(0, 9, n).astype(np.int32),
         lane=tuple("" if i % 2 else f"lane_{i % 3}" for i in ids),
+        roll=rng.normal(size=n),
     ).rounded()
 
 
@@ -106,6 +107,8 @@ def test_damaged_logs_are_told_in_one_line(tmp_path: Path) -> None:
         "twice": {"object/id": np.array([1000, 1000, 1003, 1004])},
         "kind": {"row/yaw": columns["row/yaw"].astype(np.float32)},
         "flat": {"row/yaw": columns["row/yaw"].ravel()},
+        "roll": {"row/roll": columns["row/roll"][:, :-1]},
+        "tilt": {"row/roll": columns["row/roll"].astype(np.float32)},
         "name": {"object/name": np.array([{}] * 4, dtype=object)},
         "about": {"about": np.array("[1]")},
     }
@@ -142,7 +145,7 @@ def test_a_log_says_what_it_is_of_and_is_a_few_bytes_per_actor_and_step(tmp_path
         boxes = replace(base.boxes, center=center, yaw=wrap_angle(heading[step]))
         now = (place[step] - place[step - 1]) / 0.1
         before = (place[step - 1] - place[step - 2]) / 0.1
-        rows = {"velocity": now, "acceleration": (now - before) / 0.1, "pitch": np.zeros(40)}
+        rows = {"velocity": now, "acceleration": (now - before) / 0.1, "pitch": np.zeros(40), "roll": np.zeros(40)}
         log.append(replace(base, time_s=float(time[step]), boxes=boxes, **rows))
     path = log.save(tmp_path / "curves.npz")
     again = TrafficLog.load(path)
@@ -150,6 +153,19 @@ def test_a_log_says_what_it_is_of_and_is_a_few_bytes_per_actor_and_step(tmp_path
     for step in range(200):
         assert_equal(again[step], log[step])
     assert path.stat().st_size < 6 * 40 * 200
+
+
+def test_a_log_of_bodies_that_do_not_roll_is_what_it_was_before_they_could(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    upright, rolling = TrafficLog(0.1), TrafficLog(0.1)
+    for step in range(3):
+        now = actors(0.1 * step, [1000, 1001], rng)
+        rolling.append(now)
+        upright.append(replace(now, roll=np.zeros(2)))
+    assert set(rolling.columns()) - set(upright.columns()) == {"row/roll"}
+    with ReplayTraffic(upright.save(tmp_path / "traffic.npz")) as replay:
+        assert_equal(replay.actors, upright[0])
+        assert not replay.actors.roll.any()
 
 
 def test_a_log_within_an_area_keeps_the_whole_way_of_who_is_ever_there() -> None:
