@@ -4,7 +4,8 @@ A folder of drives is a split, a drive holds one folder per agent (the object id
 a roadside unit) and `data_protocol.yaml`. Trees of other tools are read too, with missing values filled in: all objects
 are cars, and an agent has at least one point on each object that it has annotated.
 
-A frame of which an agent lacks a file is refused, or left out where `data_protocol.yaml` says `missing: frame`.
+A drive of which an agent lacks a file is refused, unless `data_protocol.yaml` says `missing: frame`, which leaves out
+the frames of such files, or `missing: agent`, which leaves out the agents that lack one.
 
 Points are written in the frame of their sweep (`Sweep.motion`), `lidar_pose` is that frame, and the record keeps it and
 the sensor's path, so that a reader can choose another. Boxes are those of the frame's time, the middle of its sweeps.
@@ -41,7 +42,7 @@ PROTOCOL = "data_protocol.yaml"
 Clouds = Literal["pcd", "compact"]
 """Form of the point clouds, and ending of their files: OPV2V's, or a quarter of their bytes for our readers alone."""
 CLOUDS: tuple[Clouds, ...] = get_args(Clouds)
-_MISSING, _LEFT_OUT = "missing", "frame"
+_MISSING = "missing"
 _AGENT = re.compile(r"-?\d+")
 _STEM = re.compile(r"\d+")
 # OpenCDA numbers its files by ticks of a simulation at 20 Hz; the default for trees of other tools.
@@ -213,27 +214,29 @@ class DriveReader:
         promised = own_settings(self.protocol).get("agents", {})
         if not isinstance(promised, dict) or not all(_AGENT.fullmatch(str(agent)) for agent in promised):
             raise DataError(complaint(self.drive / PROTOCOL, "testbed.agents", "a mapping of agent ids", promised))
-        for agent in promised:
-            if int(agent) not in found:
-                raise DataError(f"{self.drive / str(agent)}: agent folder is missing; {PROTOCOL} names it")
+        absent = [int(agent) for agent in promised if int(agent) not in found]
+        if absent and self._missing != "agent":
+            raise DataError(f"{self.drive / str(absent[0])}: agent folder is missing; {PROTOCOL} names it")
         if not found:
             raise DataError(complaint(self.drive, "folder", "agent folders with whole numbers as names", "none"))
-        return agent_order(found)
+        return agent_order(found + absent)
 
     def _timestamps(self) -> list[str]:
         """Return the ego's timestamps, checked against the other agents and the protocol."""
-        listing = {agent: {p.name for p in (self.drive / str(agent)).iterdir()} for agent in self.agents}
-        names = (Path(n) for n in listing[self.agents[0]] if n.endswith(".yaml"))
-        stems = sorted((n.stem for n in names if _STEM.fullmatch(n.stem)), key=lambda stem: (int(stem), stem))
+        folders = {agent: self.drive / str(agent) for agent in self.agents}
+        listing = {agent: {p.name for p in folder.glob("*")} for agent, folder in folders.items()}
+        own = own_settings(self.protocol)
+        # A file of the ego can be missing too, where the number of frames is promised or files may be missing.
+        timed = self.agents if self._missing is not None or "frames" in own else self.agents[:1]
+        names = {Path(name) for agent in timed for name in listing[agent] if name.endswith(".yaml")}
+        stems = sorted({n.stem for n in names if _STEM.fullmatch(n.stem)}, key=lambda stem: (int(stem), stem))
         if not stems:
             ego = self.drive / str(self.agents[0])
             raise DataError(complaint(ego, "timestamps", "files such as 000000.yaml and 000000.pcd", "none"))
-        own = own_settings(self.protocol)
         files = [(agent, stem, ending) for agent in self.agents for stem in stems for ending in ("yaml", self.clouds)]
-        if gaps := [file for file in files if f"{file[1]}.{file[2]}" not in listing[file[0]]]:
+        gaps = [file for file in files if f"{file[1]}.{file[2]}" not in listing[file[0]]]
+        if gaps:
             stems = self._without(gaps, stems)
-            if "frames" in own:
-                own["frames"] = len(stems)
         promised = own.get("frames")
         if promised is not None and promised != len(stems):
             verb = "corrupt" if "corruptions" in own else "generate"
@@ -242,24 +245,38 @@ class DriveReader:
         return stems
 
     def _without(self, gaps: list[tuple[int, str, str]], stems: list[str]) -> list[str]:
-        """Return the timestamps without those that an agent lacks a file of, if the protocol wants it so."""
-        if self._missing not in (None, _LEFT_OUT):
-            raise DataError(complaint(self.drive / PROTOCOL, _MISSING, _LEFT_OUT, self._missing))
-        agent, stem, ending = gaps[0]
-        hint = f"a line `{_MISSING}: {_LEFT_OUT}` in {self.drive / PROTOCOL} leaves such frames out"
+        """Return the timestamps that stay, once the frames or agents with gaps are left out as the protocol says."""
+        own, protocol = own_settings(self.protocol), self.drive / PROTOCOL
         if self._missing is None:
-            raise DataError(f"{self.drive / str(agent) / stem}.{ending}: file is missing; {hint}")
-        lacking = {stem for _, stem, _ in gaps}
-        if not (left := [stem for stem in stems if stem not in lacking]):
-            raise DataError(complaint(self.drive, "frames", "one of which no agent lacks a file", "none"))
-        notice(f"{self.drive}: {len(lacking)} of {len(stems)} frames, of which a file is missing, are left out")
-        return left
+            agent, stem, ending = gaps[0]
+            ways = f"`{_MISSING}: frame` leaves such frames out, `{_MISSING}: agent` such agents"
+            raise DataError(f"{self.drive / str(agent) / stem}.{ending}: file is missing; in {protocol}, a line {ways}")
+        if self._missing == "frame":
+            without = {stem for _, stem, _ in gaps}
+            if not (left := [stem for stem in stems if stem not in without]):
+                raise DataError(complaint(self.drive, "frames", "one of which no agent lacks a file", "none"))
+            if "frames" in own:
+                own["frames"] = len(left)
+            notice(f"{self.drive}: {len(without)} of {len(stems)} frames, of which a file is missing, are left out")
+            return left
+        if self._missing != "agent":
+            raise DataError(complaint(protocol, _MISSING, "frame or agent", self._missing))
+        lacking = {agent for agent, _, _ in gaps}
+        if not (whole := tuple(agent for agent in self.agents if agent not in lacking)):
+            raise DataError(complaint(self.drive, "agents", "one that lacks no file", "none"))
+        if "agents" in own:
+            own["agents"] = {agent: about for agent, about in own["agents"].items() if int(agent) in whole}
+        names = ", ".join(str(agent) for agent in self.agents if agent in lacking)
+        notice(f"{self.drive}: of {len(self.agents)} agents those that lack a file are left out: {names}")
+        self.agents = whole
+        return stems
 
     def _own_frame(self, stem: str, records: list[Record]) -> Frame:
         first = records[0]
-        if sorted(first.agents) != sorted(self.agents):
-            missing = sorted(set(first.agents) ^ set(self.agents))
-            raise DataError(complaint(self.drive, "agent folders", str(first.agents), f"{missing} missing or extra"))
+        odd = set(self.agents) - set(first.agents) if self._missing == "agent" else set(self.agents) ^ set(first.agents)
+        if odd:
+            found = f"{sorted(odd)} missing or extra"
+            raise DataError(complaint(self.drive, "agent folders", str(first.agents), found))
         agents = []
         for agent_id, record in zip(self.agents, records, strict=True):
             path = self.drive / str(agent_id) / f"{stem}.{self.clouds}"
@@ -282,8 +299,7 @@ class DriveReader:
             signals=np.array(first.signals, np.int32),
             lane=tuple(first.lane),
             visible_fraction=_fractions(records),
-            # Agents are in one order in the frame and in every record; old files lack their lines of sight.
-            sight=np.array([r.sight for r in records] if all(r.sight for r in records) else np.zeros((0, 0)), np.int8),
+            sight=_sight(records, [first.agents.index(agent) for agent in self.agents]),
         )
 
     def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:
@@ -341,6 +357,13 @@ def _fractions(records: list[Record]) -> NDArray[np.float32]:
         return np.zeros((0, 0), np.float32)
     rows = [[np.nan if share is None else share for share in r.visible_fraction] for r in records]
     return np.array(rows, np.float32).reshape(len(records), -1)
+
+
+def _sight(records: list[Record], columns: list[int]) -> NDArray[np.int8]:
+    """Return (A, A) lines of sight, of each record those to some of its agents; empty where old files lack them."""
+    if not all(record.sight for record in records):
+        return np.zeros((0, 0), np.int8)
+    return np.array([record.sight for record in records], np.int8)[:, columns]
 
 
 def drives_below(root: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from dsrc.data.datasets.corrupt import corrupt_dataset
 from dsrc.data.drive_folder import write_protocol
 from dsrc.data.drives import list_drives
 from dsrc.data.formats.annotation import flattened
-from dsrc.data.formats.opv2v.reader import DriveReader, write_frame
+from dsrc.data.formats.opv2v.reader import DriveReader, agent_table, write_frame
 from dsrc.data.formats.pcd import read_pcd
 from sensors.deskew import deskew_frame
 from sensors.frame import Frame
@@ -388,7 +388,7 @@ def test_an_ego_without_frames_and_an_id_with_zeros_before_it_are_named(drive: P
 
 
 @pytest.mark.parametrize("own", [True, False])
-@pytest.mark.parametrize("lost", ["1002/000000.pcd", "1002/000000.yaml", "1000/000000.pcd"])
+@pytest.mark.parametrize("lost", ["1002/000000.pcd", "1002/000000.yaml", "1000/000000.pcd", "1000/000000.yaml"])
 def test_a_frame_that_an_agent_lacks_a_file_of_is_left_out_on_request(
     drive: Path, tmp_path: Path, own: bool, lost: str
 ) -> None:
@@ -399,8 +399,10 @@ def test_a_frame_that_an_agent_lacks_a_file_of_is_left_out_on_request(
     kept = DriveReader(drive).read(1)
     before = DriveReader(drive).digest()
     (drive / lost).unlink()
-    with pytest.raises(DataError, match=rf"{lost}: file is missing; a line `missing: frame` in .*data_protocol.yaml"):
-        DriveReader(drive)
+    ways = "a line `missing: frame` leaves such frames out, `missing: agent` such agents"
+    if own or lost != "1000/000000.yaml":  # without a number of frames the ego's annotations say which there are
+        with pytest.raises(DataError, match=rf"{lost}: file is missing; in .*data_protocol.yaml, {ways}"):
+            DriveReader(drive)
     with (drive / "data_protocol.yaml").open("a") as file:
         file.write("\nmissing: frame\n")
     reader = DriveReader(drive)
@@ -421,11 +423,48 @@ def test_a_frame_that_an_agent_lacks_a_file_of_is_left_out_on_request(
         DriveReader(drive)
 
 
+@pytest.mark.parametrize("own", [True, False])
+@pytest.mark.parametrize("lost", ["1002/000000.pcd", "1000/000001.yaml", "1002"])
+def test_an_agent_that_lacks_a_file_is_left_out_on_request(
+    drive: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, own: bool, lost: str
+) -> None:
+    whole = [DriveReader(drive).read(i) for i in range(2)]
+    if own:
+        write_protocol(drive, {"testbed": {"frames": 2, "agents": agent_table(whole[0])}})
+    else:
+        strip(drive)
+    plain = [DriveReader(drive).read(i) for i in range(2)]
+    gone = int(lost.split("/")[0])
+    shutil.rmtree(drive / lost) if lost == "1002" else (drive / lost).unlink()
+    with (drive / "data_protocol.yaml").open("a") as file:
+        file.write("\nmissing: agent\n")
+    reader = DriveReader(drive)
+    left = tuple(agent.agent_id for agent in plain[0].agents if agent.agent_id != gone)
+    assert (reader.agents, reader.frames) == (left, (0, 1))
+    rows = [row for row, agent in enumerate(whole[0].agents) if agent.agent_id != gone]
+    for i, frame in enumerate(plain):
+        read = reader.read(i)
+        assert tuple(agent.agent_id for agent in read.agents) == left
+        assert same_frames(read, frame.of_agents(rows)) or not own
+        for row, agent in zip(rows, read.agents, strict=True):
+            assert np.array_equal(agent.sweep.points, frame.agents[row].sweep.points)
+    if own or lost != "1002":
+        assert f"agents those that lack a file are left out: {gone}" in caplog.text
+    # A drive that is made of it is whole, of the agents that are left.
+    corrupt_dataset(data=drive, out=tmp_path / "foggy", corruption="fog", severity=1)
+    (foggy,) = list_drives(tmp_path / "foggy")
+    assert (DriveReader(foggy).agents, DriveReader(foggy).frames) == (left, (0, 1))
+    for agent in left:
+        (drive / str(agent) / "000001.pcd").unlink()
+    with pytest.raises(DataError, match="agents: expected one that lacks no file, found none"):
+        DriveReader(drive)
+
+
 def test_what_becomes_of_missing_files_is_one_of_what_there_is(drive: Path) -> None:
     (drive / "1002" / "000001.pcd").unlink()
     with (drive / "data_protocol.yaml").open("a") as file:
         file.write("\nmissing: agents\n")
-    with pytest.raises(DataError, match=r"data_protocol.yaml: missing: expected frame, found agents"):
+    with pytest.raises(DataError, match=r"data_protocol.yaml: missing: expected frame or agent, found agents"):
         DriveReader(drive)
 
 
