@@ -4,6 +4,7 @@ After ASAM OpenDRIVE 1.8, sections 10.2 (rule of traffic) and 13 (objects). netc
 left-hand rules nor namespaces, and refuses a whole map for one odd attribute.
 """
 
+import logging
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -17,8 +18,12 @@ from sim.errors import DataError, ScenarioError, UserError
 from sim.geometry import Array
 from sim.roads.opendrive import Road, read_road, read_root
 
-_AT_FAULT = re.compile(r"Attribute '(\w+)'.*?in definition of (?:an? )?(\w+)(?: '([^']*)')?")
-_MAY_GO = ("signal", "signalReference", "object", "objectReference", "controller", "connection", "control", "outline")
+log = logging.getLogger(__name__)
+
+_AT_FAULT = re.compile(
+    r"Attribute '(\w+)'.*?in definition of (?:an? )?(\w+)(?: '([^']*)')?(?: Invalid \w+ Format \([\w ]+\) ([^ ]*)\.)?"
+)
+_MAY_GO = ("signal", "signalReference", "controller", "connection", "control", "validity")
 """Elements that a map is read without."""
 
 
@@ -39,6 +44,25 @@ class OpenDriveMap:
         self.root = read_root(source, ScenarioError)
         rules = [road.get("rule", "RHT") for road in self.root.iter("road")]
         self.left_hand = 2 * rules.count("LHT") > len(rules)
+        # netconvert draws none, and repeats one of length 0 for ever.
+        self._things = [(road, things) for road in self.root.iter("road") for things in road.findall("objects")]
+        for road, things in self._things:
+            road.remove(things)
+        self._drop_links_to_nowhere()
+
+    def _drop_links_to_nowhere(self) -> None:
+        """Drop links to roads that the file lacks, as one cut out of a larger map has them."""
+        known = {road.get("id") for road in self.root.iter("road")}
+        dangling = [
+            (link, end)
+            for link in self.root.iterfind("road/link")
+            for end in link
+            if end.get("elementType") == "road" and end.get("elementId") not in known
+        ]
+        for link, end in dangling:
+            link.remove(end)
+        if dangling:
+            log.warning("%s: left out %d x link to a road that is not there", self._source.name, len(dangling))
 
     def write(self, target: Path, *, left_hand: bool) -> None:
         """Write the file as netconvert reads it, which takes lanes of negative number as those along the road.
@@ -65,12 +89,13 @@ class OpenDriveMap:
         found = _AT_FAULT.search(str(refusal))
         if found is None or found[2] not in _MAY_GO:
             return ""
-        attribute, tag, name = found.groups()
+        attribute, tag, name, value = found.groups()
         faulty = [
             (parent, child)
             for parent in self.root.iter()
             for child in parent
-            if child.tag == tag and (not child.get(attribute) or (name and child.get("id") == name))
+            if child.tag == tag
+            and (child.get(attribute, "") in ("", value) or (name and not value and child.get("id") == name))
         ]
         for parent, child in faulty:
             parent.remove(child)
@@ -83,18 +108,21 @@ class OpenDriveMap:
             offset: of the network's coordinates from those of the file, m.
         """
         rows: list[str] = []
-        for road in self.root.iter("road"):
+        placeless = 0
+        for road, things in self._things:
             try:
                 line = read_road(self._source, road)
             except DataError:  # netconvert has read what it could of it
                 continue
-            for thing in road.iterfind("objects/object"):
+            for thing in things.iterfind("object"):
                 try:
                     rows += [
                         _row(f"{len(rows) + k}", thing, *one) for k, one in enumerate(_placed(thing, line, offset))
                     ]
-                except ValueError:  # an object without a place is none
-                    continue
+                except ValueError:
+                    placeless += 1
+        if placeless:
+            log.warning("%s: left out %d x object without a usable place or size", self._source.name, placeless)
         return "".join(rows)
 
 
@@ -119,8 +147,13 @@ def _negate(element: ET.Element, *names: str) -> None:
             element.set(name, str(-int(text)))
 
 
-def _number(element: ET.Element, name: str) -> float:
-    value = float(element.get(name, "0") or "0")
+def _number(element: ET.Element, name: str, usual: float | None = 0.0) -> float:
+    """Return a number of an object, or the usual one where it has none.
+
+    Raises:
+        ValueError: it is no finite number, or missing without a usual one.
+    """
+    value = float(element.get(name) or ("nan" if usual is None else usual))
     if not math.isfinite(value):
         raise ValueError(name)
     return value
@@ -135,7 +168,7 @@ _BARRIERS = {"fence": "fence", "wall": "wall", "hedge": "hedge", "railing": "gua
 def _placed(thing: ET.Element, line: Road, offset: tuple[float, float]) -> Iterator[tuple[str, Array]]:
     """Yield (kind of a .poly.xml, (K, 2) corners or (1, 2) place) of an object and its repetitions."""
     kind, name = thing.get("type", "").lower(), f"{thing.get('subtype', '')} {thing.get('name', '')}".lower()
-    spots = list(_repeated(thing)) or [(_number(thing, "s"), _number(thing, "t"))]
+    spots = list(_repeated(thing)) or [(_number(thing, "s", None), _number(thing, "t", None))]
     if kind in ("barrier", "railing", "soundbarrier"):
         name = f"{kind} {name}".replace("soundbarrier", "wall")
         words = [word for word in _BARRIERS if word in name]
@@ -185,6 +218,8 @@ def _outline(thing: ET.Element, line: Road, s: float, t: float, offset: tuple[fl
 def _box(thing: ET.Element, line: Road, s: float, t: float, offset: tuple[float, float]) -> Array:
     """Return the (4, 2) corners of the box of an object, along its length first."""
     half = 0.5 * np.array([_number(thing, "length"), _number(thing, "width")]) + _number(thing, "radius")
+    if not half.any():
+        raise ValueError("no size")
     corners = half * [[-1, -1], [1, -1], [1, 1], [-1, 1]]
     return _turned(thing, line, s, t, offset, corners)
 

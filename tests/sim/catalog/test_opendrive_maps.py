@@ -121,6 +121,47 @@ def test_odd_signals_and_objects_are_left_out_and_named(tmp_path: Path, caplog: 
     assert "straight.xodr: left out 1 x signal without a usable attribute 'type'" in caplog.text
 
 
+def test_values_that_are_no_numbers_and_objects_without_a_place_are_left_out_and_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A rail of no length that repeats without an end stays; netconvert, which would repeat it for ever, has none."""
+    source, out = maps.straight(tmp_path), tmp_path / "out"
+    odd = (
+        '<objects><object id="1" type="building"/><object id="2" type="tree" s="abc" t="3"/>'
+        '<object id="3" type="barrier" s="30" t="8" length=""><repeat s="30" length="50"/></object></objects>'
+        '<signals><signal id="4" s="x" t="3" type="274" dynamic="no" orientation="+"/>'
+        '<signal id="5" s="20" t="3" type="1000001" dynamic="yes" orientation="+"><validity fromLane="x"/></signal>'
+        "</signals></road>"
+    )
+    source.write_text(source.read_text().replace("</road>", odd))
+    with caplog.at_level(logging.WARNING):
+        net = converted(source, out)
+    assert len(net.getEdges(False)) == 2
+    assert read_map_objects(out / "map.poly.xml").barriers[0][1].length == pytest.approx(50.0)
+    for named in (
+        "2 x object without a usable place or size",
+        "1 x signal without a usable attribute 's'",
+        "1 x validity without a usable attribute 'fromLane'",
+    ):
+        assert f"straight.xodr: left out {named}" in caplog.text
+
+
+def test_links_to_roads_that_are_not_there_are_left_out_and_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    one = maps.road(maps.xodr.Line(400))
+    source = maps.saved(tmp_path, "cut", one)
+    root = ET.parse(source)
+    link = root.find("road/link")
+    assert link is not None
+    ET.SubElement(link, "successor", elementType="road", elementId="77", contactPoint="start")
+    root.write(source)
+    with caplog.at_level(logging.WARNING):
+        net = converted(source, tmp_path / "out")
+    assert len(net.getEdges(False)) == 2
+    assert "cut.xodr: left out 1 x link to a road that is not there" in caplog.text
+
+
 def test_a_namespace_is_read_over(tmp_path: Path) -> None:
     source = maps.straight(tmp_path)
     source.write_text(source.read_text().replace("<OpenDRIVE", '<OpenDRIVE xmlns="http://code.asam.net/simulation"', 1))
