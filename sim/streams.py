@@ -39,6 +39,8 @@ class Stream(Enum):
     BUILDING_FOOTPRINTS = "list", 3, ""
     ENCOUNTER_SITE = "list", 4, ""
     FACADES = "list", None, "the seed is the number of buildings"
+    RELIEF = "child", 7, ""
+    ROUGHNESS = "child", 8, ""
     # Recording
     AGENT_SELECTION = "child", 0, ""
     LIDAR_NOISE = "child", 1, "frame, agent"

@@ -5,25 +5,22 @@ import shapely
 import trimesh
 from numpy.typing import NDArray
 
-from sim.encounters import network_file
 from sim.mesh.solids import join, to_mesh
-from sim.roads.networks import read_network, resolve_polygons
+from sim.roads.networks import resolve_polygons
 from sim.roads.polygons import has_buildings
 from sim.roads.tools import sumo_tools
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
-from sim.traffic.parking import parked_cars
 from sim.world.buildings.footprints import outlined
 from sim.world.buildings.houses import Buildings, blocks, city_mesh, guard_rails
 from sim.world.encounter_site import encounter_site
 from sim.world.furniture.kerbside import furniture
 from sim.world.furniture.map_objects import MapObjects, read_map_objects
+from sim.world.ground import streets_of
+from sim.world.highway import highway_world
 from sim.world.roads.markings import markings
-from sim.world.roads.streets import Streets, read_streets
+from sim.world.roads.streets import Streets
 from sim.world.roads.surfaces import surfaces
-
-MARGIN_M = 120.0
-"""Margin of the world beyond `network.area_m`, m: the range of a sensor."""
 
 
 def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
@@ -39,13 +36,9 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
     Raises:
         ScenarioError: the network, the city mesh or the polygons are missing or cannot be read.
     """
+    streets = streets_of(scenario, seed)
     if scenario.network.highway_env:
-        from sim.world.highway import highway_world
-
-        return highway_world(scenario, seed)
-    net = read_network(network_file(scenario, seed))
-    bays = parked_cars(scenario, net, seed).bays
-    streets = read_streets(net, scenario.network.area_m, MARGIN_M, bays)
+        return highway_world(scenario, seed, streets)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
     site = encounter_site(scenario, seed, streets)
     town = _town(scenario, streets, units, seed, site.footprint | site.clear)

@@ -26,11 +26,12 @@ _DASH_M, _GAP_M = 3.0, 6.0
 _ISLAND_M2 = 3000.0
 
 
-def highway_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
+def highway_world(scenario: Scenario, seed: int, streets: Streets) -> trimesh.Trimesh:
     """Build the static world along the roads of an environment, without SUMO.
 
     Args:
         seed: root seed of houses and trees.
+        streets: of the environment, on their ground.
 
     Returns:
         As `sim.world.build.build_world`.
@@ -39,7 +40,6 @@ def highway_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
         ScenarioError: the environment is unknown, or highway-env is not installed.
     """
     roads = read_roads(scenario.network.highway_env)
-    streets = highway_streets(roads, scenario.network.area_m)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
     town = blocks(streets, units, random_generator(seed, Stream.BUILDING_BLOCKS), _islands(streets))
     things = furniture(streets, town.footprint, units, random_generator(seed, Stream.FURNITURE))

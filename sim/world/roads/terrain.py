@@ -1,5 +1,6 @@
 """Terrain: one triangulated surface below roads, paint, kerbs, houses and trees."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,7 @@ class Terrain:
 
     nodes: Array
     faces: NDArray[np.int64]
-    slopes: LinearNDInterpolator | None
+    slopes: Callable[[Array], Array] | None
 
     @property
     def flat(self) -> bool:
@@ -69,7 +70,7 @@ class Terrain:
 
 def level_land(window: Window, height_m: float) -> Terrain:
     """Return level terrain around a window: two triangles."""
-    low, high = _corners(window)
+    low, high = land_corners(window)
     nodes = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
     return Terrain(np.column_stack([nodes, np.full(4, height_m)]), np.array([[0, 2, 3], [0, 3, 1]]), None)
 
@@ -91,20 +92,51 @@ def land(window: Window, lines: list[Array], covered: shapely.Geometry) -> Terra
     near = covered.buffer(_BESIDE_M)
     shapely.prepare(near)
     cell_m = max(CELL_M, float(np.sqrt(near.area / _MOST_NODES)))
-    low, high = _corners(window)
-    grid, rim = _grid(low, high, cell_m), _grid(low, high, _RIM_M)
-    rim = rim[((rim == low) | (rim == high)).any(axis=1)]
-    flat = np.unique(np.concatenate([grid[shapely.contains_xy(near, *grid.T)], rim]), axis=0)
+    low, high = land_corners(window)
+    places = grid(low, high, cell_m)
+    flat = np.unique(np.concatenate([places[shapely.contains_xy(near, *places.T)], rim(low, high)]), axis=0)
     mesh, level = Delaunay(flat), _lane_heights(lines, flat)
     faces = mesh.simplices.astype(np.int64)
     return Terrain(np.column_stack([flat, level]), faces, LinearNDInterpolator(mesh, level))
 
 
-def _corners(window: Window) -> tuple[Array, Array]:
+class Facets:
+    """Heights on triangles that are found by a tree: graded ones, which scipy's walk from one to the next gets lost in.
+
+    Args:
+        nodes: (N, 3) m.
+        faces: (F, 3) rows of `nodes`, none upright.
+    """
+
+    def __init__(self, nodes: Array, faces: NDArray[np.int64]) -> None:
+        self._tree = shapely.STRtree(shapely.polygons(nodes[faces, :2]))
+        self._corner = nodes[faces[:, 0]]
+        edges = nodes[faces[:, 1:]] - self._corner[:, None]
+        self._slope = np.linalg.solve(edges[:, :, :2], edges[:, :, 2:])[:, :, 0]
+
+    def __call__(self, xy: Array) -> Array:
+        """Return (N,) heights at (N, 2) positions, beyond all triangles on the plane of the nearest."""
+        places = shapely.points(xy)
+        place, face = self._tree.query(places, predicate="intersects")
+        below = np.full(len(xy), -1)
+        below[place[::-1]] = face[::-1]  # of two on a common edge the first
+        lost = np.flatnonzero(below < 0)
+        below[lost] = self._tree.nearest(places[lost])
+        return self._corner[below, 2] + ((xy - self._corner[below, :2]) * self._slope[below]).sum(axis=1)
+
+
+def land_corners(window: Window) -> tuple[Array, Array]:
+    """Return the corners of the terrain around a window, of least and of greatest x and y."""
     return np.array(window[:2]) - BEYOND_M, np.array(window[2:]) + BEYOND_M
 
 
-def _grid(low: Array, high: Array, cell_m: float) -> Array:
+def rim(low: Array, high: Array) -> Array:
+    """Return (N, 2) nodes around the rectangle between two corners, which are among them."""
+    places = grid(low, high, _RIM_M)
+    return places[((places == low) | (places == high)).any(axis=1)]
+
+
+def grid(low: Array, high: Array, cell_m: float) -> Array:
     """Return an (N, 2) grid between two corners, included, at most `cell_m` apart along x and y."""
     count = np.ceil((high - low) / cell_m).astype(int) + 1
     x, y = np.linspace(low[0], high[0], count[0]), np.linspace(low[1], high[1], count[1])

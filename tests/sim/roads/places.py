@@ -10,7 +10,8 @@ from sim.encounters import network_file
 from sim.errors import ScenarioError
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario
-from sim.world.build import MARGIN_M, build_world
+from sim.world.build import build_world
+from sim.world.ground import MARGIN_M
 from sim.world.roads.streets import Streets, read_streets
 
 SCENARIOS = {name: load_scenario(name) for name in list_scenarios()}

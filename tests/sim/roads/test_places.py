@@ -21,8 +21,8 @@ from sim.traffic.base import Actors
 from sim.traffic.parking import parked_cars
 from sim.traffic.sumo.demand import write_demand
 from sim.traffic.sumo.traffic import SumoTraffic
-from sim.world.build import MARGIN_M
 from sim.world.buildings.footprints import outlined
+from sim.world.ground import MARGIN_M
 from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand, every, streets_of, world_of
 
 LATERAL_M, YAW_DEGPS, DEEP_M = 0.25, 120.0, 0.15

@@ -20,7 +20,8 @@ from sim.mesh.materials import MATERIALS, material_index
 from sim.roads.networks import read_network, resolve_network
 from sim.roads.tools import sumo_home
 from sim.scenario import AgentRule, NetworkSpec, RoadsideUnit
-from sim.world.build import MARGIN_M, build_world
+from sim.world.build import build_world
+from sim.world.ground import MARGIN_M
 from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.surfaces import pavement
 from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand

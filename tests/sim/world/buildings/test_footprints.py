@@ -16,9 +16,10 @@ from sim.roads.networks import read_network, resolve_network
 from sim.roads.polygons import read_outlines
 from sim.roads.tools import sumo_tools
 from sim.scenario import Scenario
-from sim.world.build import MARGIN_M, build_world
+from sim.world.build import build_world
 from sim.world.buildings.facades import WALLS
 from sim.world.buildings.footprints import outlined
+from sim.world.ground import MARGIN_M
 from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.terrain import level_land
 

@@ -7,7 +7,8 @@ from sim.mesh.materials import material_index
 from sim.mesh.solids import carpet
 from sim.roads.network import Network
 from sim.roads.networks import read_network, resolve_network
-from sim.world.build import MARGIN_M, build_world
+from sim.world.build import build_world
+from sim.world.ground import MARGIN_M
 from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.surfaces import GROUND_BELOW_M, pavement
 from sim.world.roads.terrain import BEYOND_M, CELL_M, Terrain, land, level_land

@@ -1,0 +1,49 @@
+"""Ground of a scenario: its streets on the terrain of its world, for what is built on it and for who moves on it."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import msgspec
+
+from sim.encounters import network_file, with_encounter
+from sim.roads.networks import read_network
+from sim.scenario import Scenario
+from sim.traffic.parking import parked_cars
+from sim.world.highway import highway_streets
+from sim.world.roads.landscape import uneven_land
+from sim.world.roads.streets import Streets, read_streets
+from sim.world.roads.surfaces import pavement
+
+MARGIN_M = 120.0
+"""Margin of the world beyond `network.area_m`, m: the range of a sensor."""
+
+_KEPT = 2
+
+
+def streets_of(scenario: Scenario, seed: int) -> Streets:
+    """Return the streets of a scenario on their ground; in an uneven world, equal scenarios and seeds share them.
+
+    Args:
+        seed: root seed of parked cars and of the relief.
+
+    Raises:
+        ScenarioError: the network is missing or cannot be read.
+    """
+    if not scenario.uneven:
+        return _level(scenario, seed)
+    return _uneven(msgspec.json.encode(with_encounter(scenario, seed)), seed)
+
+
+@lru_cache(maxsize=_KEPT)
+def _uneven(scenario_json: bytes, seed: int) -> Streets:
+    streets = _level(msgspec.json.decode(scenario_json, type=Scenario), seed)
+    return replace(streets, terrain=uneven_land(streets, pavement(streets), seed))
+
+
+def _level(scenario: Scenario, seed: int) -> Streets:
+    if scenario.network.highway_env:
+        from sim.traffic.highway.roads import read_roads
+
+        return highway_streets(read_roads(scenario.network.highway_env), scenario.network.area_m)
+    net = read_network(network_file(scenario, seed))
+    return read_streets(net, scenario.network.area_m, MARGIN_M, parked_cars(scenario, net, seed).bays)

@@ -1,0 +1,183 @@
+"""Landscape: uneven land around streets, with crowned carriageways, embankments, ditches and rough ground beside them.
+
+A street is level across, apart from its crown: its height is that of the relief along its axis. Beside it the land goes
+over into the relief, as an embankment or a cutting. A network with heights of its own keeps them.
+
+Sources: cross-fall of 2.5 % and embankments 1 : 1.5 and flatter, RASt 06 and RAL (FGSV); ditches, RAS-Ew (FGSV), as
+wide as five times their depth; roughness of ground, random roughness of tilled and grown soil, 6 to 40 mm (Zobeck and
+Onstad, Tillage and random roughness effects on surface storage, 1987).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
+
+from sim.geometry import Array
+from sim.streams import Stream, random_generator
+from sim.world.roads.markings import offset
+from sim.world.roads.relief import MOTORWAY, TOWN, draw_relief
+from sim.world.roads.streets import Lane, Streets
+from sim.world.roads.surfaces import TOWN_SPEED_MPS
+from sim.world.roads.terrain import CELL_M, Facets, Terrain, grid, land_corners, rim
+
+CROSS_FALL = 0.025
+DITCH_M = 0.4
+"""Depth of a ditch, m."""
+ROUGH_M = 0.035
+"""Standard deviation of the heights of unpaved ground, m."""
+
+_CROWN_M = 4.0
+_DITCH_BEGINS_M, _DITCH_WIDTH_M = 2.0, 2.5
+_ROUGH_FROM_M, _ROUGH_FULL_M = 0.4, 1.5
+_VERGE_M, _APRON_M = 14.0, 45.0
+"""Distances from the paved ground to which the land goes over into the relief, and is meshed finely, m."""
+_VERGE_CELL_M, _APRON_CELL_M, _FAR_CELL_M = 1.3, 6.0, 25.0
+_MOST_NODES = 50_000
+"""Most nodes on paved ground, and on the verge."""
+
+_ALONG_M, _NEAREST, _BLEND_M = 2.5, 32, 5.0
+_APART_M = 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Axes:
+    """Points along the axes of roads: (N, 2) m, and the (N,) speed limit there, m/s."""
+
+    xy: Array
+    speed: Array
+
+
+def uneven_land(streets: Streets, paved: shapely.Geometry, seed: int) -> Terrain:
+    """Return the uneven terrain of streets.
+
+    Args:
+        streets: on their level land, or on that of the heights of their network.
+        paved: polygon of footways and pavements.
+        seed: of the relief and the roughness.
+    """
+    axes = _axes(streets)
+    covered = shapely.union_all([streets.road, streets.rail, paved])
+    xy = _nodes(streets, covered, axes)
+    road, edge = _Region(streets.road), _Region(covered)
+    beside_m = edge.outside(xy)
+    level = _relief(streets, axes, xy, beside_m, seed)
+    level += CROSS_FALL * np.minimum(road.inside(xy), _CROWN_M)
+    level -= DITCH_M * _ditch(axes, xy, beside_m)
+    rough = np.clip((beside_m - _ROUGH_FROM_M) / (_ROUGH_FULL_M - _ROUGH_FROM_M), 0.0, 1.0)
+    level += ROUGH_M * rough * random_generator(seed, Stream.ROUGHNESS).standard_normal(len(xy))
+    nodes, faces = np.column_stack([xy, level]), Delaunay(xy).simplices.astype(np.int64)
+    return Terrain(nodes, faces, Facets(nodes, faces))
+
+
+def _relief(streets: Streets, axes: _Axes, xy: Array, beside_m: Array, seed: int) -> Array:
+    """Return (N,) heights of streets and of the land between them, without crowns and ditches."""
+    if not streets.terrain.flat:
+        return streets.terrain.height(xy)
+    relief = draw_relief(seed, MOTORWAY if np.median(axes.speed) > TOWN_SPEED_MPS else TOWN)
+    natural = relief.height(xy)
+    distance, near = cKDTree(axes.xy).query(xy, k=min(_NEAREST, len(axes.xy)))
+    distance, near = distance.reshape(len(xy), -1), near.reshape(len(xy), -1)
+    weight = np.exp((distance[:, :1] ** 2 - distance**2) / (2.0 * _BLEND_M**2))
+    street = (weight * relief.height(axes.xy)[near]).sum(axis=1) / weight.sum(axis=1)
+    share = np.clip(beside_m / _VERGE_M, 0.0, 1.0)
+    return streets.terrain.nodes[0, 2] + street + share**2 * (3.0 - 2.0 * share) * (natural - street)
+
+
+def _ditch(axes: _Axes, xy: Array, beside_m: Array) -> Array:
+    """Return (N,) share of the depth of a ditch: beside roads that are too fast for kerbs."""
+    _, near = cKDTree(axes.xy).query(xy)
+    into = np.clip((beside_m - _DITCH_BEGINS_M) / _DITCH_WIDTH_M, 0.0, 1.0)
+    return np.where(axes.speed[near] > TOWN_SPEED_MPS, np.sin(np.pi * into) ** 2, 0.0)
+
+
+def _axes(streets: Streets) -> _Axes:
+    points, speeds = [], []
+    for lane in streets.lanes:
+        line = _axis(lane)
+        if line is not None:
+            points.append(_spaced(shapely.LineString(line), _ALONG_M))
+            speeds.append(np.full(len(points[-1]), lane.speed))
+    if not points:
+        x_min, y_min, x_max, y_max = streets.area
+        return _Axes(np.array([[0.5 * (x_min + x_max), 0.5 * (y_min + y_max)]]), np.zeros(1))
+    return _Axes(np.concatenate(points), np.concatenate(speeds))
+
+
+def _axis(lane: Lane) -> Array | None:
+    """Return the axis of the road of a lane, None where another lane of its road gives it."""
+    if lane.kind == "crossing" or (lane.kind != "road" and lane.beside_road):
+        return None
+    if lane.kind != "road" or lane.internal:
+        return lane.line
+    if lane.index + 1 < lane.count:
+        return None
+    # Both directions of a street share their inner border; a road of one direction has its axis in its middle.
+    return offset(lane.line, lane.kerb_side * 0.5 * lane.width * (-1.0 if lane.opposite else lane.count - 1.0))
+
+
+def _nodes(streets: Streets, covered: shapely.Geometry, axes: _Axes) -> Array:
+    """Return the (N, 2) nodes: dense on the paved ground and beside it, fewer far from it."""
+    low, high = land_corners(streets.window)
+    frame = shapely.box(*streets.window)
+    verge = (covered.buffer(_VERGE_M, quad_segs=2) & frame) - covered
+    apron = (covered.buffer(_APRON_M, quad_segs=2) & frame) - covered - verge
+    edges = np.concatenate([_spaced(shape.boundary, CELL_M) for shape in (covered, streets.road)])
+    kept = [rim(low, high), edges, axes.xy[:: round(CELL_M / _ALONG_M)]]
+    for shape, cell_m in ((covered, CELL_M), (verge, _VERGE_CELL_M), (apron, _APRON_CELL_M)):
+        kept.append(_inside(shape, low, high, max(cell_m, float(np.sqrt(shape.area / _MOST_NODES)))))
+    far = grid(low, high, _FAR_CELL_M)
+    shapely.prepare(near := shapely.union_all([covered, verge, apron]))
+    kept.append(far[~shapely.contains_xy(near, *far.T)])
+    xy = np.concatenate(kept)
+    inside = ((xy >= low) & (xy <= high)).all(axis=1)
+    return np.unique(_apart(xy[inside]), axis=0)
+
+
+def _inside(shape: shapely.Geometry, low: Array, high: Array, cell_m: float) -> Array:
+    if shape.is_empty:
+        return np.zeros((0, 2))
+    x_min, y_min, x_max, y_max = shape.bounds
+    places = grid(np.maximum([x_min, y_min], low), np.minimum([x_max, y_max], high), cell_m)
+    shapely.prepare(shape)
+    return places[shapely.contains_xy(shape, *places.T)]
+
+
+def _apart(xy: Array) -> Array:
+    """Return points of which none lies close to an earlier one."""
+    near = cKDTree(xy).query_pairs(_APART_M, output_type="ndarray")
+    dropped = np.zeros(len(xy), bool)
+    for first, second in near[np.lexsort((near[:, 1], near[:, 0]))]:
+        if not dropped[first]:
+            dropped[second] = True
+    return xy[~dropped]
+
+
+class _Region:
+    """Distances from the outline of a polygon."""
+
+    def __init__(self, shape: shapely.Geometry) -> None:
+        self._shape = shape
+        shapely.prepare(shape)
+        self._outline = None if shape.is_empty else cKDTree(_spaced(shape.boundary, 1.0))
+
+    def inside(self, xy: Array) -> Array:
+        """Return (N,) distances to the outline of points inside, 0 outside, m."""
+        return np.where(self._holds(xy), self._distance(xy), 0.0)
+
+    def outside(self, xy: Array) -> Array:
+        """Return (N,) distances to the outline of points outside, 0 inside, m."""
+        return np.where(self._holds(xy), 0.0, self._distance(xy))
+
+    def _holds(self, xy: Array) -> NDArray[np.bool_]:
+        return np.asarray(shapely.intersects_xy(self._shape, *xy.T))
+
+    def _distance(self, xy: Array) -> Array:
+        return np.full(len(xy), np.inf) if self._outline is None else self._outline.query(xy)[0]
+
+
+def _spaced(line: shapely.Geometry, step_m: float) -> Array:
+    """Return (N, 2) points along lines, at most `step_m` apart, their corners included."""
+    return np.asarray(shapely.get_coordinates(shapely.segmentize(line, step_m)))
