@@ -151,6 +151,17 @@ def test_a_drive_whose_name_is_a_number_does_not_make_its_folder_a_drive(tmp_pat
     assert list_drives(tmp_path) == list_drives(tmp_path / "val") == [tmp_path / "val" / "12"]
 
 
+def test_clouds_in_bin_beside_annotations_are_named_as_v2x_reals(tmp_path: Path) -> None:
+    """Files as its loader looks for them: https://github.com/ucla-mobility/V2X-Real, basedataset.py, load_lidar_bin."""
+    write_frame(tmp_path / "2023-03-17-15-53-02_1_0", toy_frame(0))
+    (drive,) = list_drives(tmp_path)
+    for cloud in sorted(drive.glob("*/*.pcd")):
+        cloud.with_suffix(".bin").write_bytes(np.zeros((5, 4), np.float32).tobytes())
+        cloud.unlink()
+    with pytest.raises(DataError, match="2023-03-17-15-53-02_1_0: annotations with clouds in .bin, as V2X-Real has them"):
+        open_drive(drive)
+
+
 def test_a_folder_without_drives_names_the_formats(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"expected an OPV2V tree .*, a DAIR-V2X-C one .*, or sweeps"):
         list_drives(tmp_path)

@@ -43,6 +43,12 @@ Clouds = Literal["pcd", "compact"]
 """Form of the point clouds, and ending of their files: OPV2V's, or a quarter of their bytes for our readers alone."""
 CLOUDS: tuple[Clouds, ...] = get_args(Clouds)
 _MISSING = "missing"
+# Its loader (https://github.com/ucla-mobility/V2X-Real, basedataset.py and pcd_utils.py) has the folders and keys of OPV2V,
+# clouds as x, y, z, intensity in float32, six numbers as pose and a class in `obj_type`.
+_V2X_REAL = (
+    "annotations with clouds in .bin, as V2X-Real has them, are not read: to which side their y axis points is not published;"
+    " the clouds alone are read as folders of scans"
+)
 _AGENT = re.compile(r"-?\d+")
 _STEM = re.compile(r"\d+")
 # OpenCDA numbers its files by ticks of a simulation at 20 Hz; the default for trees of other tools.
@@ -234,6 +240,8 @@ class DriveReader:
             ego = self.drive / str(self.agents[0])
             raise DataError(complaint(ego, "timestamps", "files such as 000000.yaml and 000000.pcd", "none"))
         files = [(agent, stem, ending) for agent in self.agents for stem in stems for ending in ("yaml", self.clouds)]
+        if all(f"{stem}.pcd" not in listing[timed[0]] and f"{stem}.bin" in listing[timed[0]] for stem in stems):
+            raise DataError(f"{self.drive}: {_V2X_REAL}")
         gaps = [file for file in files if f"{file[1]}.{file[2]}" not in listing[file[0]]]
         if gaps:
             stems = self._without(gaps, stems)
