@@ -57,6 +57,10 @@ class Drive(Protocol):
         """Return whether the i-th frame has ground truth, an empty one included."""
         ...
 
+    def complete(self) -> bool:
+        """Return whether labels are complete everywhere in all frames that have them; no cloud is read."""
+        ...
+
     def digest(self) -> str:
         """Return a SHA-256 of annotations and of all clouds' names, sizes and changes; quick, for provenance."""
         ...
@@ -127,19 +131,24 @@ def open_drives(root: Path | str, motion: Motion | None = None) -> list[Drive]:
 
 
 def labelled_frames(drive: Drive) -> list[int]:
-    """Return the positions of the frames with ground truth; all of other data sets than sweeps."""
+    """Return the positions of the frames with ground truth."""
     return [i for i in range(len(drive.frames)) if drive.labelled(i)]
 
 
-def warn_of_lost_labels(drives: Sequence[Drive]) -> None:
-    """Warn of what a new drive will not say of the labels: that a frame has none, or where they are complete."""
-    for drive in drives:
-        without = len(drive) - len(labelled_frames(drive))
-        if without:
-            known = f"{without} of {len(drive)} frames have no ground truth"
-            _log.warning("%s: %s; the new drive does not tell them from frames without objects", drive.drive, known)
-        if isinstance(drive, sweeps.SweepReader) and not drive.complete():
-            _log.warning("%s: labels are not complete everywhere; the new drive does not keep where", drive.drive)
+def label_notes(drive: Drive) -> dict:
+    """Return the settings of an OPV2V drive that is made of a drive: frames without labels, labels of a part."""
+    without = [frame for i, frame in enumerate(drive.frames) if not drive.labelled(i)]
+    return ({"unlabelled": without} if without else {}) | ({} if drive.complete() else {"labels": "part"})
+
+
+def warn_of_lost_labels(drives: Sequence[Drive], format_name: str) -> None:
+    """Warn in one line of what a format does not say of labels: that a frame has none, or where they are complete."""
+    without = sum(len(drive) - len(labelled_frames(drive)) for drive in drives)
+    partial = sum(not drive.complete() for drive in drives)
+    lost = [f"that {without} of {sum(map(len, drives))} frames have no ground truth"] if without else []
+    lost += [f"where the labels of {partial} of {len(drives)} drives are complete"] if partial else []
+    if lost:
+        _log.warning("%s does not keep %s", format_name, ", nor ".join(lost))
 
 
 def drive_hashes(drives: Sequence[Path]) -> dict[str, str]:

@@ -15,7 +15,7 @@ import msgspec
 
 from dsrc.data.checksums import CHECKSUMS, write_checksums
 from dsrc.data.drive_folder import is_complete, write_protocol
-from dsrc.data.drives import Drive, open_drive, open_drives, warn_of_lost_labels
+from dsrc.data.drives import Drive, label_notes, open_drive, open_drives, warn_of_lost_labels
 from dsrc.data.formats.dair.write import DairWriter
 from dsrc.data.formats.kitti import KittiWriter, LabelView
 from dsrc.data.formats.mcap.file import MessageFile
@@ -140,7 +140,8 @@ def convert(options: ConvertOptions, pool: Pool = SERIAL, progress: Progress | N
     with locked(out):
         state = _check_folder(out, wanted)
         if state != "finished":
-            warn_of_lost_labels(drives)
+            if wanted.to not in ("opv2v", "compact"):
+                warn_of_lost_labels(drives, f"--to {wanted.to}")
             write_file(out / CONVERSION, encode_json(wanted))
             jobs = [ConvertJob(out.resolve(), wanted, source, state == "lacking") for source in sources]
             run_jobs(_convert, jobs, pool, progress, frames)
@@ -276,7 +277,7 @@ class _Opv2v(_Writer):
             protocol = drive.protocol
             if not own_settings(protocol):
                 converted = {"format": drive.format, "drive": source.name, "sha256": self.mark.drives[source.name]}
-                own = {"frames": len(drive), "agents": agent_table(frame), "converted": converted}
+                own = {"frames": len(drive), "agents": agent_table(frame), "converted": converted, **label_notes(drive)}
                 protocol = {**protocol, "testbed": own}
             write_protocol(folder, {**protocol, "testbed": with_clouds(own_settings(protocol), self.clouds)})
         write_frame(folder, frame, lists_connected_vehicles(drive.protocol), drive.plans(i), clouds=self.clouds)

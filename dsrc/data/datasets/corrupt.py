@@ -14,7 +14,7 @@ from dsrc.data.clouds.files import is_scan
 from dsrc.data.datasets.corrupt_scans import corrupt_scans
 from dsrc.data.datasets.corruption_settings import CorruptionJob, corruption_entry, run_condition
 from dsrc.data.drive_folder import is_complete, read_settings, write_protocol
-from dsrc.data.drives import Drive, find_drives, open_drive, path_below, warn_of_lost_labels
+from dsrc.data.drives import Drive, find_drives, label_notes, open_drive, path_below
 from dsrc.data.formats.opv2v.reader import (
     PROTOCOL,
     agent_table,
@@ -79,7 +79,6 @@ def corrupt_dataset(options: CorruptOptions, pool: Pool = SERIAL, progress: Prog
         if not any(map(read_settings, folders)):
             raise DataError(complaint(given, "reuse", f"corrupted drives, each with its {PROTOCOL}", "none"))
     readers = [open_drive(job.source) for job in jobs]
-    warn_of_lost_labels(readers)
     total, done = sum(map(len, readers)), 0
     with pool.open(max(map(len, readers))) as executor:
         for job, reader, reuse in zip(jobs, readers, places, strict=True):
@@ -169,7 +168,7 @@ def _protocol(job: CorruptionJob, reader: Drive) -> dict:
         entry["who"] = entry.pop("who")  # the last one, as in files of earlier versions
     own = own_settings(reader.protocol)
     if not own:
-        return {"testbed": {"frames": len(reader), "corruptions": [entry]}}
+        return {"testbed": {"frames": len(reader), **label_notes(reader), "corruptions": [entry]}}
     return {**reader.protocol, "testbed": {**own, "corruptions": [*own.get("corruptions", []), entry]}}
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from dsrc.data.checksums import marks_of_change
 from dsrc.data.formats.annotation import Annotation, with_own_bodies
 from dsrc.data.formats.opv2v.compact import encode_compact, read_compact
-from dsrc.data.formats.opv2v.record import Record, encode_agent, read_agent, read_plan
+from dsrc.data.formats.opv2v.record import Part, Record, encode_agent, read_agent, read_plan
 from dsrc.data.formats.pcd import compensated, encode_pcd, read_pcd
 from dsrc.data.formats.yaml import read_yaml
 from dsrc.data.points_in_boxes import points_in_boxes
@@ -163,6 +163,10 @@ class DriveReader:
         self.agents = tuple(self._agents())
         self._stems = self._timestamps()
         self.frames = tuple(int(stem) for stem in self._stems)
+        self._unlabelled = own_settings(self.protocol).get("unlabelled", [])
+        if not isinstance(self._unlabelled, list):
+            found = self._unlabelled
+            raise DataError(complaint(self.drive / PROTOCOL, "testbed.unlabelled", "a list of frames", found))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -190,8 +194,12 @@ class DriveReader:
         return {agent: read_plan(self.drive / str(agent) / f"{self._stems[i]}.yaml") for agent in self.agents}
 
     def labelled(self, i: int) -> bool:
-        """Return True: every frame has ground truth."""
-        return True
+        """Return whether the i-th frame has ground truth: every one but those that a drive of ours says have none."""
+        return self.frames[i] not in self._unlabelled
+
+    def complete(self) -> bool:
+        """Return whether labels are complete everywhere, in all frames that have them."""
+        return own_settings(self.protocol).get("labels") != "part"
 
     def digest(self) -> str:
         """Return the SHA-256 of the annotations, of all files' names and sizes, and of marks of changed clouds.
@@ -307,6 +315,7 @@ class DriveReader:
             signals=np.array(first.signals, np.int32),
             lane=tuple(first.lane),
             visible_fraction=_fractions(records),
+            region=first.part.region() if isinstance(first.part, Part) else None,
             sight=_sight(records, [first.agents.index(agent) for agent in self.agents]),
         )
 

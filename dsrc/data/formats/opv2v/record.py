@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dsrc.data.formats import v2v4real
 from dsrc.data.formats.annotation import FARTHEST_M, Annotation, annotation, check_box
 from dsrc.data.formats.yaml import emit, parse_yaml
-from sensors.frame import AgentKind, Frame
+from sensors.frame import AgentKind, Frame, Region
 from sensors.motion import Path as LidarPath
 from sensors.spec import LidarSpec
 from sensors.sweep import Motion
@@ -34,6 +34,27 @@ VERSION = 1
 _PREFIX = "testbed: '"
 _ID_LIMIT = 2**31
 _Id = Annotated[int, msgspec.Meta(gt=-_ID_LIMIT, lt=_ID_LIMIT)]
+
+
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """`sensors.frame.Region` in the world, its boxes as those of a `Record`."""
+
+    projection: list[tuple[float, float, float, float]] | None
+    image_size: tuple[int, int]
+    ignored_px: list[tuple[float, float, float, float]]
+    ignored: list[tuple[float, float, float, float, float, float, float]]
+
+    @classmethod
+    def of(cls, region: Region) -> "Part":
+        """Return what a file keeps of a region."""
+        projection = None if region.projection is None else [(a, b, c, d) for a, b, c, d in region.projection.tolist()]
+        return cls(projection, region.image_size, region.ignored_px.tolist(), region.ignored.array.tolist())
+
+    def region(self) -> Region:
+        """Return the region exactly as it was written."""
+        projection = None if self.projection is None else np.array(self.projection, np.float64)
+        ignored = Boxes.from_array(np.array(self.ignored, np.float64).reshape(-1, 7))
+        return Region(projection, self.image_size, np.array(self.ignored_px, np.float64).reshape(-1, 4), ignored)
 
 
 class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -50,6 +71,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         acceleration, signals, lane, visible_fraction: as in `Frame`, the agent's own row of the last; null for NaN,
             in `velocity` too.
         sight: line of sight from the agent to each of `agents`, see `Frame.sight`; empty for unknown ones.
+        part: see `Frame.region`; left out for everywhere.
     """
 
     version: int
@@ -76,6 +98,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     lane: list[str] = []
     visible_fraction: list[Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None] = []
     sight: list[Annotated[int, msgspec.Meta(ge=-1, le=2)]] = []
+    part: Part | msgspec.UnsetType = msgspec.UNSET
 
     def lidar_path(self) -> LidarPath | None:
         """Return the path of the LiDAR exactly as it was written."""
@@ -150,6 +173,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         # The shortest decimals that read back as the same float32.
         visible_fraction=[None if text == "nan" else float(text) for text in map(str, frame.visible_fraction[row])],
         sight=frame.sight[row].tolist(),
+        part=msgspec.UNSET if frame.region is None else Part.of(frame.region),
     )
 
 
@@ -247,6 +271,11 @@ def _checked(path: Path, record: Record) -> Record:
         raise DataError(complaint(path, "testbed.path", "none or at least two poses, times ascending", times))
     for object_id, box in zip(record.object_id, record.box, strict=True):
         check_box(path, f"testbed.box of object {object_id}", box[:3], box[3:6], box[6])
+    if isinstance(record.part, Part):
+        if record.part.projection is not None and len(record.part.projection) != 3:
+            raise DataError(complaint(path, "testbed.part.projection", "3 rows", len(record.part.projection)))
+        for box in record.part.ignored:
+            check_box(path, "testbed.part.ignored", box[:3], box[3:6], box[6])
     for name in ("object_id", "agents"):
         if len(set(getattr(record, name))) < len(getattr(record, name)):
             raise DataError(complaint(path, f"testbed.{name}", "each id once", "one twice"))

@@ -18,6 +18,7 @@ from dsrc.evaluation.scoring.score import score
 from dsrc.realism.gauge import compare, measure
 from dsrc.training.samples import SampleStore
 from sensors.corruptions import Condition
+from sim.boxes import Boxes
 from sim.errors import DataError
 from tests.dsrc.data.sweeps import trees
 from tests.dsrc.data.sweeps.scene import FRAMES
@@ -62,20 +63,73 @@ def test_convert_keeps_points_and_boxes(tree: tuple[str, Path], tmp_path: Path) 
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (trees.kitti_object, ["labels are not complete everywhere; the new drive does not keep where"]),
+        (trees.kitti_object, ["--to mcap does not keep where the labels of 1 of 1 drives are complete"]),
         (trees.nuscenes, []),
-        (
-            trees.semantic_kitti,
-            ["3 of 3 frames have no ground truth; the new drive does not tell them from frames without objects"],
-        ),
+        (trees.semantic_kitti, ["--to mcap does not keep that 3 of 3 frames have no ground truth"]),
     ],
 )
 def test_convert_says_in_a_line_what_it_does_not_keep_of_labels(
     make: Callable[[Path], Path], said: list[str], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    convert(data=make(tmp_path / "data"), out=tmp_path / "out", to="opv2v")
-    (drive,) = open_drives(tmp_path / "data")
-    assert [record.getMessage() for record in caplog.records] == [f"{drive.drive}: {line}" for line in said]
+    pytest.importorskip("mcap")
+    convert(data=make(tmp_path / "data"), out=tmp_path / "out", to="mcap")
+    assert [record.getMessage() for record in caplog.records] == said
+
+
+def _to_opv2v(data: Path, out: Path) -> Path:
+    convert(data=data, out=out, to="opv2v")
+    return out
+
+
+def _in_fog(data: Path, out: Path) -> Path:
+    return corrupt_dataset(data=data, out=out, corruption="fog", severity=1)[0]
+
+
+@pytest.mark.parametrize("again", [_to_opv2v, _in_fog])
+def test_opv2v_keeps_where_labels_are_complete(
+    again: Callable[[Path, Path], Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A car in the picture counts, one beside it and one in a region of no care do not, before and after."""
+    data = trees.kitti_object(tmp_path / "data", "DontCare -1 -1 -10 500 150 560 200 -1 -1 -1 -1000 -1000 -1000 -10\n")
+    convert(data=data, out=tmp_path / "once", to="opv2v")
+    (before,), (after,) = open_drives(data), open_drives(again(tmp_path / "once", tmp_path / "twice"))
+    assert after.format == "OPV2V" and not after.complete() and not caplog.records
+    rng = np.random.default_rng(0)
+    for i in range(FRAMES):
+        old, new = before.read(i).region, after.read(i).region
+        assert old is not None and new is not None
+        assert len(new.ignored_px) == len(old.ignored_px) == 1 and len(new.ignored) == len(old.ignored)
+        there = rng.uniform([-10.0, -30.0, -1.0], [60.0, 30.0, 1.0], (500, 3))
+        rows = np.column_stack([there, np.tile([4.0, 2.0, 1.5, 0.3], (500, 1))])
+        counts = old.counts(Boxes.from_array(rows))
+        assert 50 < counts.sum() < 450
+        assert np.array_equal(new.counts(Boxes.from_array(rows)), counts)
+
+
+@pytest.mark.parametrize("again", [_to_opv2v, _in_fog])
+def test_opv2v_keeps_that_frames_have_no_labels(
+    again: Callable[[Path, Path], Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = trees.kitti_object(tmp_path / "data")
+    (lost,) = data.glob("training/label_2/000001.txt")
+    lost.unlink()
+    (before,) = open_drives(data)
+    assert len(labelled_frames(before)) == FRAMES - 1
+    convert(data=data, out=tmp_path / "once", to="opv2v")
+    (after,) = open_drives(again(tmp_path / "once", tmp_path / "twice"))
+    assert [after.frames[i] for i in labelled_frames(after)] == [before.frames[i] for i in labelled_frames(before)]
+    assert not caplog.records
+    convert(data=after.drive, out=tmp_path / "kitti", to="kitti")
+    lost_in_kitti = "--to kitti does not keep that 1 of 3 frames have no ground truth"
+    assert [record.getMessage().partition(", nor ")[0] for record in caplog.records] == [lost_in_kitti]
+
+
+def test_corrupt_keeps_that_nobody_labelled_a_bag(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    (drive,) = corrupt_dataset(data=trees.rosbag(tmp_path / "data"), out=tmp_path / "out", corruption="fog", severity=1)
+    (after,) = open_drives(drive)
+    assert after.format == "OPV2V" and len(after) == FRAMES
+    assert labelled_frames(after) == []
 
 
 def test_corrupt_changes_the_points(tree: tuple[str, Path], tmp_path: Path) -> None:
@@ -92,8 +146,7 @@ def test_a_corrupted_tree_is_the_same_drive_with_the_same_truth(tree: tuple[str,
         corrupt_dataset(data=data, out=out, corruption="point_dropping")
     (before,), (after,) = open_drives(tree[1]), open_drives(again)
     assert (after.drive.name, after.frames) == (before.drive.name, before.frames)
-    if after.format == before.format:  # OPV2V's files always have objects, if none
-        assert labelled_frames(after) == labelled_frames(before)
+    assert labelled_frames(after) == labelled_frames(before)
     old, new = before.read(1), after.read(1)
     assert np.allclose(new.truth.array, old.truth.array, rtol=0, atol=1e-9)
     assert np.allclose(new.agents[0].sweep.world_from_lidar, old.agents[0].sweep.world_from_lidar, rtol=0, atol=1e-9)
