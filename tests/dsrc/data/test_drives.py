@@ -159,7 +159,7 @@ def test_clouds_in_bin_beside_annotations_are_named_as_v2x_reals(tmp_path: Path)
         cloud.with_suffix(".bin").write_bytes(np.zeros((5, 4), np.float32).tobytes())
         cloud.unlink()
     with pytest.raises(
-        DataError, match="2023-03-17-15-53-02_1_0: annotations with clouds in .bin, as V2X-Real has them"
+        DataError, match=r"2023-03-17-15-53-02_1_0: annotations with clouds in \.bin, as V2X-Real has them"
     ):
         open_drive(drive)
 
