@@ -32,7 +32,7 @@ from dsrc.data.sweeps.layout import (
 )
 from sensors.frame import Region
 from sensors.sweep import Sweep, make_sweep
-from sim.boxes import CLASSES, Boxes
+from sim.boxes import CLASSES, Boxes, concatenate
 from sim.reading import read_text
 
 HEIGHT_M = 1.73
@@ -65,24 +65,23 @@ def scan_sweep(path: Path, world_from_lidar: NDArray[np.float64], time_s: float)
 def kitti_truth(
     path: Path, lines: list[tuple[int, str]], calibration: KittiCalibration, own: bool = False
 ) -> tuple[Boxes, Boxes]:
-    """Return the objects of label lines and those to ignore, in the LiDAR's frame, without ids.
+    """Return the objects of label lines and those to ignore, in the LiDAR's frame, with the numbers of lines as ids.
 
     Args:
         own: of a tree of ours, where `Misc` are buses and motorcycles.
     """
     camera = calibration.camera_from_lidar
-    boxes = parse_labels(path, lines, camera, users=USERS).boxes
-    spared = parse_labels(path, lines, camera, users=SPARED).boxes
+    found = []
+    for users in (USERS, SPARED):
+        boxes = parse_labels(path, lines, camera, users=users).boxes
+        kept = [number for number, line in lines if line.split(maxsplit=1)[:1] and line.split()[0].lower() in users]
+        found.append(replace(boxes, object_id=np.array(kept, np.int64)))
+    boxes, spared = found
     if not own:
         return boxes, spared
     rest = spared[spared.label == CLASSES.index("car")]
     label = np.where(rest.size[:, 0] > _BUS_M, CLASSES.index("bus"), CLASSES.index("motorcycle"))
-    return _joined(boxes, replace(rest, label=label)), Boxes.zeros()
-
-
-def _joined(first: Boxes, second: Boxes) -> Boxes:
-    label = np.concatenate([first.label, second.label])
-    return Boxes.from_array(np.concatenate([first.array, second.array]), label)
+    return concatenate([boxes, replace(rest, label=label)]), Boxes.zeros()
 
 
 def picture_region(

@@ -13,6 +13,7 @@ Mercator's projection scaled at the first latitude); A. Geiger et al., IJRR 2013
 semantic-kitti-api.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Self
@@ -24,7 +25,6 @@ from dsrc.data.formats.kitti_labels import KittiCalibration, read_calibration
 from dsrc.data.sweeps.kitti import HEIGHT_M, kitti_truth, picture_region, scan_sweep
 from dsrc.data.sweeps.layout import Labels, Layout, numbered
 from sensors.sweep import Sweep
-from sim.boxes import Boxes
 from sim.errors import DataError, complaint
 from sim.geometry import invert, pose_matrix
 from sim.reading import parsing, read_text
@@ -100,14 +100,10 @@ class KittiTracking(Layout):
             words = line.split(maxsplit=2)
             ids[number] = int(words[1]) + 1
             rows.append((number, words[2]))
-        found = [(one, kitti_truth(self._labels, [one], calibration)) for one in rows]
-        boxes = [(boxes, ids[one[0]]) for one, (boxes, _) in found if len(boxes)]
-        array = np.array([part.array[0] for part, _ in boxes]).reshape(-1, 7)
-        label = np.array([part.label[0] for part, _ in boxes], np.int64)
-        truth = Boxes.from_array(array, label, np.array([one for _, one in boxes], np.int64))
+        truth, spared = kitti_truth(self._labels, rows, calibration)
+        truth = replace(truth, object_id=np.array([ids[line] for line in truth.object_id.tolist()], np.int64))
         if len(np.unique(truth.object_id)) < len(truth):
             raise DataError(complaint(self._labels, f"frame {self.frames[i]}", "each track once", "one twice"))
-        spared = kitti_truth(self._labels, rows, calibration)[1]
         picture = self._split / "image_02" / self._name / f"{self.frames[i]:06d}.png"
         pose = self.poses(i)[0]
         region = picture_region(self._labels, rows, calibration, picture, spared).transform(pose)

@@ -62,7 +62,7 @@ _NAMES = {
 }
 _NO_ROAD_USERS = frozenset(
     "unknown train roadboundary building pillar median_strip constructionzone construction_zone generic_object "
-    "traffic_cone traffic_barrier barrier czone_sign traffic_light other".split()
+    "traffic_cone traffic_barrier traffic_object barrier czone_sign traffic_light other".split()
 )
 
 _log = logging.getLogger(__name__)

@@ -49,6 +49,7 @@ READERS: dict[str, Reader] = {
     ".xosc": _read_xml,
 }
 """Readers by the ending of a file."""
+_PICKLES = (".pkl", ".pickle")
 
 
 def read_tracks(path: Path) -> tuple[Recording, ...]:
@@ -62,7 +63,13 @@ def read_tracks(path: Path) -> tuple[Recording, ...]:
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise DataError(complaint(path, "tracks", f"a file that ends with {', '.join(READERS)}", path.suffix or "none"))
+        hint = (
+            "; a pickle can run code, docs/formats.md says how to write its arrays"
+            if path.suffix.lower() in _PICKLES
+            else ""
+        )
+        expected = f"a file that ends with {', '.join(READERS)}"
+        raise DataError(complaint(path, "tracks", expected, path.suffix or "none", hint))
     recordings = reader(path)
     for recording in recordings:
         check_tracks(path, recording)

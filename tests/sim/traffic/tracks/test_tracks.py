@@ -1,6 +1,8 @@
 """Track files of others: each format gives the same traffic, in between is interpolated, gaps are named."""
 
 import logging
+import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import pytest
 from sim.errors import DataError
 from sim.traffic.tracks.base import to_log
 from sim.traffic.tracks.open import read_tracks
+from tests.paths import ROOT
 
 HEADER = "time,id,x,y,yaw,length,width,class\n"
 TIMES = np.array([0.0, 0.13, 0.31, 0.5, 0.58, 0.9, 1.0])
@@ -100,6 +103,50 @@ def test_every_format_gives_the_motion_at_every_step(tmp_path: Path, name: str, 
         np.testing.assert_allclose(actors.boxes.size[0], [*SIZE, 1.5])
         assert actors.boxes.center[0, 2] == 0.75  # it stands on the ground
         np.testing.assert_allclose(actors.velocity[0], [10.0, 0.0], atol=0.02)
+
+
+def test_what_the_page_of_formats_writes_of_a_scenario_of_scenarionet_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """States as MetaDrive's scenario_description.py says and ScenarioNet's converter of nuPlan fills them in.
+
+    Sizes are (T, 1), `valid` is 0.0 or 1.0, and values of steps that are not valid are 0.
+    """
+    x, y, yaw = pose(TIMES)
+    steps, there = len(TIMES), np.array([0.0, *np.ones(len(TIMES) - 1)])
+
+    def track(kind: str, length: float, width: float, turn: float = 0.0) -> dict:
+        size = {"length": length, "width": width, "height": 1.6}
+        state = {name: np.reshape(there * value, (steps, 1)) for name, value in size.items()}
+        place = np.column_stack([x, y, np.zeros(steps)]) * there[:, None]
+        state |= {"position": place, "heading": (yaw + turn) * there, "valid": there, "velocity": np.zeros((steps, 2))}
+        return {"type": kind, "state": state, "metadata": {"type": kind, "object_id": kind}}
+
+    tracks = {"ego": track("VEHICLE", *SIZE), "a1": track("CYCLIST", 1.8, 0.6), "b2": track("TRAFFIC_OBJECT", 1.0, 1.0)}
+    scenario = {"tracks": tracks, "length": steps, "metadata": {"ts": TIMES, "coordinate": "metadrive"}}
+    (tmp_path / "scenario.pkl").write_bytes(pickle.dumps(scenario))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(
+        DataError, match="found .pkl; a pickle can run code, docs/formats.md says how to write its arrays"
+    ):
+        read_tracks(Path("scenario.pkl"))
+    section = (ROOT / "docs" / "formats.md").read_text().split("\n## ScenarioNet\n")[1].split("\n## ")[0]
+    (block,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    assert block.count("\n") <= 10
+    exec(block, {})
+    (recording,) = read_tracks(Path("tracks.npz"))
+    assert [(one.name, one.class_name) for one in recording.tracks] == [("ego", "car"), ("a1", "bicycle")]
+    ego = recording.tracks[0]
+    np.testing.assert_allclose(ego.size, [*SIZE, 1.6])
+    np.testing.assert_array_equal(ego.time_s, TIMES[1:])
+    np.testing.assert_allclose(ego.center[:, :2], np.column_stack([x, y])[1:])
+    assert not caplog.records
+    tracks["ego"] = track("VEHICLE", *SIZE, turn=-np.pi / 2)
+    (tmp_path / "scenario.pkl").write_bytes(pickle.dumps(scenario))
+    caplog.clear()
+    exec(block, {})
+    read_tracks(Path("tracks.npz"))
+    assert "headings of 1 of 2 moving vehicles disagree with their motion, such as object 'ego' by 86" in caplog.text
 
 
 def test_a_gap_is_named_and_nobody_is_there(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
