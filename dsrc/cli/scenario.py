@@ -189,7 +189,7 @@ class Import(msgspec.Struct, frozen=True):
         dsrc scenario import crossing.xodr --name crossing --out scenarios/crossing
 
     Attributes:
-        map: .net.xml, .net.xml.gz, .osm, .osm.gz, .osm.bz2, .osm.pbf or .xodr.
+        map: .net.xml, .net.xml.gz, .osm, .osm.gz, .osm.bz2, .osm.pbf, .json (Overpass) or .xodr.
         name: name of the scenario; default: the file's.
         out: new folder; default: the scenario's name, here.
         traffic_side: side on which traffic keeps; auto: as the map or its country has it.

@@ -15,7 +15,7 @@ import msgspec
 from sim.catalog.dry_run import STAY_S, carried, least_traffic, longest_stay, rates
 from sim.errors import ScenarioError, complaint
 from sim.reading import parsing
-from sim.roads.convert import ConvertedMap, TrafficSide, convert_map, map_kind
+from sim.roads.convert import ConvertedMap, TrafficSide, convert_map, is_network, map_kind
 from sim.roads.focus import PlaceArea, beside_road, busiest_place
 from sim.scenario import DemandSpec
 
@@ -38,7 +38,8 @@ def import_map(
     """Import a map as a scenario, with traffic around its busiest junction or on its longest road.
 
     Args:
-        source: a .net.xml(.gz), an OpenStreetMap extract (.osm, .osm.gz, .osm.bz2, .osm.pbf) or OpenDRIVE (.xodr).
+        source: a .net.xml(.gz), an OpenStreetMap extract (.osm, .osm.gz, .osm.bz2, .osm.pbf, or
+            Overpass's .json) or OpenDRIVE (.xodr).
         name: of the scenario; default: from the file.
         out: folder to make; default: one of that name here.
         seeds: seeds whose drives must be possible.
@@ -134,7 +135,7 @@ def _scenario(
         "warmup_s = 120.0",
         "duration_s = 60.0",
         "seed = 1",
-        *([f'attribution = "{_OSM}"'] if ".osm" in kind or kind == ".pbf" else []),
+        *([] if kind == ".xodr" or is_network(source) else [f'attribution = "{_OSM}"']),
         "",
         "[network]",
         'file = "map.net.xml"',

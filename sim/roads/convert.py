@@ -16,14 +16,25 @@ from sim.reading import check_regular, parsing
 from sim.roads import kerbside, opendrive, opendrive_map, rounding
 from sim.roads import osm as openstreetmap
 from sim.roads.opendrive_map import OpenDriveMap
-from sim.roads.osm import MOST_BYTES, in_order, keeps_left, pbf_to_xml
+from sim.roads.osm import MOST_BYTES, in_order, json_to_xml, keeps_left, pbf_to_xml
 from sim.roads.tools import Option, drop_header, run_tool, sumo_home
 
 log = logging.getLogger(__name__)
 
 TrafficSide = Literal["auto", "left", "right"]
 
-MAP_SUFFIXES = (".net.xml", ".net.xml.gz", ".osm", ".osm.xml", ".osm.gz", ".osm.bz2", ".osm.pbf", ".pbf", ".xodr")
+MAP_SUFFIXES = (
+    ".net.xml",
+    ".net.xml.gz",
+    ".osm",
+    ".osm.xml",
+    ".osm.gz",
+    ".osm.bz2",
+    ".osm.pbf",
+    ".pbf",
+    ".json",
+    ".xodr",
+)
 """File name suffixes of convertible maps."""
 
 ROUND: dict[str, Option] = {
@@ -196,6 +207,9 @@ def _plain_osm(source: Path, kind: str, work: Path) -> Path:
     if kind in (".osm", ".osm.xml"):
         return source
     target = work / "map.osm"
+    if kind == ".json":
+        json_to_xml(source, target)
+        return target
     if kind.endswith(".pbf"):
         pbf_to_xml(source, target)
         return target

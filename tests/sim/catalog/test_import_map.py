@@ -2,6 +2,7 @@
 
 import bz2
 import gzip
+import json
 import struct
 import subprocess
 import zlib
@@ -20,6 +21,7 @@ from sim.catalog.import_map import import_map
 from sim.catalog.load import load_scenario
 from sim.errors import ScenarioError
 from sim.mesh.materials import material_index
+from sim.roads.convert import convert_map
 from sim.roads.networks import read_network, resolve_network
 from sim.roads.osm import pbf_to_xml
 from sim.roads.polygons import read_outlines
@@ -113,6 +115,38 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("town")
     (base / "town.osm").write_text(town(), encoding="utf-8")
     return import_map(base / "town.osm", out=base / "made", seeds=(1, 2))
+
+
+@pytest.mark.parametrize("kind", ["geom.osm", "geom.json", "nodes.json"])
+def test_what_overpass_sends_is_read_like_the_file_itself(kind: str, tmp_path: Path) -> None:
+    """After the Overpass API's manual, "Out": with `geom` ways hold the places of their nodes, in XML and JSON."""
+    places = {"1": (52.0, 9.0), "2": (52.0015, 9.004), "3": (52.002, 9.008)}
+    way = {"type": "way", "id": 10, "nodes": [1, 2, 3], "tags": {"highway": "primary", "lanes": "2"}}
+    nodes = [{"type": "node", "id": int(name), "lat": lat, "lon": lon} for name, (lat, lon) in places.items()]
+    geometry = [{"lat": lat, "lon": lon} for lat, lon in places.values()]
+    refs = "".join(f'<nd ref="{name}" lat="{lat}" lon="{lon}"/>' for name, (lat, lon) in places.items())
+    tags = '<tag k="highway" v="primary"/><tag k="lanes" v="2"/>'
+    texts = {
+        "geom.osm": f'<osm version="0.6"><way id="10"><bounds/>{refs}{tags}</way></osm>',
+        "geom.json": json.dumps({"version": 0.6, "elements": [way | {"geometry": geometry}]}),
+        "nodes.json": json.dumps({"version": 0.6, "elements": [way, *nodes]}),
+    }
+    usual = "".join(f'<node id="{name}" lat="{lat}" lon="{lon}"/>' for name, (lat, lon) in places.items())
+    refs = "".join(f'<nd ref="{name}"/>' for name in places)
+    texts["map.osm"] = f'<osm version="0.6">{usual}<way id="10">{refs}{tags}</way></osm>'
+    networks = []
+    for name in (kind, "map.osm"):
+        (tmp_path / name).write_text(texts[name])
+        (tmp_path / f"of {name}").mkdir()
+        networks.append(read_network(convert_map(tmp_path / name, tmp_path / f"of {name}").net))
+    shapes = [{edge.getID(): edge.getShape() for edge in net.getEdges(False)} for net in networks]
+    assert len(shapes[0]) == 2 and shapes[0] == shapes[1]
+
+
+def test_geojson_is_named_for_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "map.json").write_text('{"type": "FeatureCollection", "features": []}')
+    with pytest.raises(ScenarioError, match="JSON of the Overpass API, found FeatureCollection"):
+        convert_map(tmp_path / "map.json", tmp_path)
 
 
 def test_an_extract_becomes_a_scenario_around_its_junction(folder: Path) -> None:
