@@ -28,6 +28,7 @@ class Stream(Enum):
     PARKED_CARS = "list", 0xCA7, ""
     HIGHWAY_TRAFFIC = "list", None, ""
     BODY_MODEL = "list", None, "name of the road user"
+    ROAD_USER = "child", 20, "name of the road user, 0 its size or 1 its look"
     # Encounters
     ENCOUNTER_PARAMETER = "list", None, "draw, name of the parameter"
     ENCOUNTER_LAYOUT = "list", None, "draw, 'looks'"

@@ -7,6 +7,7 @@ exactly the box of its road user.
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from sim.bodies.varied.shapes import is_varied, varied_shape
 from sim.errors import SettingsError, did_you_mean
 from sim.streams import Stream, random_generator
 
@@ -59,7 +60,9 @@ def generic_models_for(class_name: str) -> tuple[str, ...]:
 
 
 def require_model(model: str) -> None:
-    """Raise SettingsError for a model that is none of `MODELS` or `generic_models_for`."""
+    """Raise SettingsError for a model that is none of `MODELS`, `generic_models_for` or `sim.bodies.varied`."""
+    if "/" in model and is_varied(model):
+        return
     known = [name for models in (MODELS, _GENERIC) for names in models.values() for name in names]
     if model not in known:
         raise SettingsError(f"unknown model '{model}'{did_you_mean(model, known)}")
@@ -70,7 +73,7 @@ def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trim
     """Return the mesh of a model scaled to a size; shared, so do not modify it.
 
     Args:
-        model: a name of `MODELS` or `generic_models_for`.
+        model: a name of `MODELS` or `generic_models_for`, or shape/variant:look of a world of version 2.
         size_lwh: length along x, width and height, m.
 
     Returns:
@@ -87,11 +90,13 @@ def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trim
     return to_mesh(fit(_shape(model), size_lwh))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _shape(model: str) -> "MeshPart":
     """Return the mesh part of a model in its own proportions, in the body frame."""
     from sim.bodies import generic, people, trucks
 
+    if "/" in model:
+        return varied_shape(model)
     shape, _, variant = model.partition(":")
     if shape.startswith("car-"):
         from sim.bodies.cars import sumo_car

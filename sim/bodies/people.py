@@ -5,7 +5,7 @@ from sim.mesh.solids import MeshPart, box, ellipsoid, join, prism, ring, tube
 Point = tuple[float, float, float]
 
 
-def _limb(points: list[Point], radii: list[float], material: str) -> list[MeshPart]:
+def limb(points: list[Point], radii: list[float], material: str) -> list[MeshPart]:
     """Return a limb along its joints, with a ball at each inner joint."""
     parts = [
         tube(a, b, (ra, rb), material, 6)
@@ -15,7 +15,8 @@ def _limb(points: list[Point], radii: list[float], material: str) -> list[MeshPa
     return parts + balls
 
 
-def _head(x: float, z: float) -> list[MeshPart]:
+def head(x: float, z: float) -> list[MeshPart]:
+    """Return a head with hair, its middle at x and z."""
     return [
         ellipsoid((x + 0.012, 0.0, z - 0.015), (0.095, 0.078, 0.120), "skin"),
         ellipsoid((x - 0.018, 0.0, z + 0.020), (0.092, 0.084, 0.110), "hair"),
@@ -42,24 +43,24 @@ def pedestrian(cloth: str, *, walking: bool) -> MeshPart:
     parts: list[MeshPart] = []
     for leg in legs:
         foot = leg[-1]
-        parts += _limb(leg, [0.085, 0.062, 0.045], other)
+        parts += limb(leg, [0.085, 0.062, 0.045], other)
         parts.append(
             box(
                 (foot[0] - 0.07, foot[1] - 0.045, foot[2] - 0.09), (foot[0] + 0.19, foot[1] + 0.045, foot[2]), "plastic"
             )
         )
     for arm in arms:
-        parts += _limb(arm, [0.060, 0.046, 0.038], cloth)
+        parts += limb(arm, [0.060, 0.046, 0.038], cloth)
         parts.append(ellipsoid((arm[-1][0] + 0.01, arm[-1][1], arm[-1][2] - 0.05), (0.04, 0.03, 0.07), "skin", 0))
     torso = [
         ellipsoid((0.0, 0.0, 1.22), (0.125, 0.195, 0.33), cloth, 2),
         ellipsoid((0.0, 0.0, 0.95), (0.115, 0.165, 0.15), other),
         tube((0.0, 0.0, 1.46), (0.01, 0.0, 1.60), (0.06, 0.05), "skin", 6),
     ]
-    return join([*parts, *torso, *_head(0.015, 1.635)])
+    return join([*parts, *torso, *head(0.015, 1.635)])
 
 
-def _rider(
+def rider(
     hip: Point,
     shoulder: Point,
     hand: Point,
@@ -76,14 +77,14 @@ def _rider(
     ]
     for side, knee, foot in zip((1.0, -1.0), knees, feet, strict=True):
         thigh, arm = (hip[0], side * 0.09, hip[2]), (shoulder[0], side * 0.19, shoulder[2])
-        parts += _limb([thigh, knee, foot], [0.085, 0.062, 0.045], trousers)
+        parts += limb([thigh, knee, foot], [0.085, 0.062, 0.045], trousers)
         parts.append(
             box(
                 (foot[0] - 0.07, foot[1] - 0.045, foot[2] - 0.08), (foot[0] + 0.18, foot[1] + 0.045, foot[2]), "plastic"
             )
         )
         elbow = (0.5 * (arm[0] + hand[0]) - 0.02, side * (abs(hand[1]) + 0.06), 0.5 * (arm[2] + hand[2]) - 0.05)
-        parts += _limb([arm, elbow, (hand[0], side * abs(hand[1]), hand[2])], [0.055, 0.045, 0.038], top)
+        parts += limb([arm, elbow, (hand[0], side * abs(hand[1]), hand[2])], [0.055, 0.045, 0.038], top)
         parts.append(ellipsoid((hand[0] + 0.02, side * abs(hand[1]), hand[2]), (0.05, 0.04, 0.04), "skin", 0))
     return parts
 
@@ -91,25 +92,25 @@ def _rider(
 def bicycle(cloth: str) -> MeshPart:
     """Return a bicycle with its rider of about 1.75 x 0.6 x 1.75 m in the body frame."""
     radius, front, rear = 0.34, 0.54, -0.52
-    crank, seat, head = (-0.08, 0.0, 0.30), (-0.25, 0.0, 0.92), (0.40, 0.0, 0.88)
+    crank, seat, steer = (-0.08, 0.0, 0.30), (-0.25, 0.0, 0.92), (0.40, 0.0, 0.88)
     wheels = [ring((x, 0.0, radius), radius, 0.045, "tyre") for x in (front, rear)]
     spokes = [
         tube((x, 0.0, radius - 0.31), (x, 0.0, radius + 0.31), (0.006, 0.006), "metal", 4) for x in (front, rear)
     ] + [tube((x - 0.31, 0.0, radius), (x + 0.31, 0.0, radius), (0.006, 0.006), "metal", 4) for x in (front, rear)]
     bars = [
-        (crank, seat), (crank, head), ((-0.22, 0.0, 0.84), (0.39, 0.0, 0.84)), ((rear, 0.0, radius), crank),
+        (crank, seat), (crank, steer), ((-0.22, 0.0, 0.84), (0.39, 0.0, 0.84)), ((rear, 0.0, radius), crank),
         ((rear, 0.0, radius), (-0.22, 0.0, 0.82)), ((front, 0.0, radius), (0.38, 0.0, 1.02)),
     ]  # fmt: skip
     frame = [tube(a, b, (0.02, 0.02), "metal", 6) for a, b in bars]
     handle = tube((0.36, -0.29, 1.04), (0.36, 0.29, 1.04), (0.018, 0.018), "dark_metal", 6)
     saddle = box((-0.37, -0.07, 0.92), (-0.13, 0.07, 0.97), "plastic")
     trousers = "cloth_dark" if cloth == "cloth_light" else "cloth_light"
-    rider = _rider(
+    person = rider(
         (-0.24, 0.0, 1.03), (0.02, 0.0, 1.45), (0.34, 0.27, 1.07),
         ((0.16, 0.11, 0.82), (0.10, -0.11, 0.66)), ((0.04, 0.11, 0.46), (-0.20, -0.11, 0.24)), cloth, trousers,
     )  # fmt: skip
     neck = tube((0.02, 0.0, 1.45), (0.08, 0.0, 1.58), (0.06, 0.05), "skin", 6)
-    return join([*wheels, *spokes, *frame, handle, saddle, *rider, neck, *_head(0.08, 1.63)])
+    return join([*wheels, *spokes, *frame, handle, saddle, *person, neck, *head(0.08, 1.63)])
 
 
 def motorcycle(paint: str) -> MeshPart:
@@ -130,7 +131,7 @@ def motorcycle(paint: str) -> MeshPart:
         box((-0.98, -0.07, 0.82), (-0.94, 0.07, 0.88), "tail_lamp"),
     ]
     plate = box((-0.98, -0.10, 0.60), (-0.965, 0.10, 0.76), "plate")
-    rider = _rider(
+    person = rider(
         (-0.28, 0.0, 0.93), (-0.02, 0.0, 1.33), (0.38, 0.32, 1.04),
         ((0.12, 0.22, 0.78), (0.12, -0.22, 0.78)), ((-0.18, 0.21, 0.36), (-0.18, -0.21, 0.36)),
         "cloth_dark", "cloth_dark",
@@ -138,4 +139,4 @@ def motorcycle(paint: str) -> MeshPart:
     helmet = ellipsoid((0.08, 0.0, 1.51), (0.15, 0.13, 0.14), paint)
     visor = ellipsoid((0.13, 0.0, 1.50), (0.115, 0.105, 0.07), "glass")
     parts = [engine, tank, seat, fairing, exhaust, handle, plate, helmet, visor]
-    return join([*wheels, *hubs, *forks, *swing, *lamps, *parts, *rider])
+    return join([*wheels, *hubs, *forks, *swing, *lamps, *parts, *person])

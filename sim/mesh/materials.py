@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
-Finish = Literal["diffuse", "beads", "retro", "glass"]
-"""Reflection models: rough surface, paint with glass beads, retro-reflector (back to the source at any angle), and
-mirror (back at normal incidence only)."""
+Finish = Literal["diffuse", "beads", "retro", "glass", "flakes"]
+"""Reflection models: rough surface, paint with glass beads, retro-reflector (back to the source at any angle), mirror
+(back at normal incidence only), and lacquer with metal flakes (bright squarely, dark aslant)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,7 +14,8 @@ class Material:
 
     Attributes:
         name: unique key.
-        reflectivity: diffuse reflectivity at 905 nm and normal incidence, in [0, 1].
+        reflectivity: diffuse reflectivity at 905 nm and normal incidence, in [0, 1]; of flakes what is left far off
+            their lobe.
         finish: reflection model.
         wets: holds a film of water and darkens; metal, glass, lacquer and plates shed it.
         rgb: colour for pictures, each in [0, 255].
@@ -62,6 +63,37 @@ MATERIALS: tuple[Material, ...] = (
     Material("hair", 0.25, "diffuse", True, (72, 54, 42)),
     Material("cloth_light", 0.55, "diffuse", True, (196, 186, 166)),
     Material("cloth_dark", 0.25, "diffuse", True, (50, 58, 84)),
+    # Road users of worlds of version 2. Carbon black takes up near infrared as it does light, a few per cent are left;
+    # organic pigments (blue, red, brown) let it through to the primer below (Lim et al. 2022, doi
+    # 10.1007/s13233-022-0037-5: dark tones of more than 60 % at 905 nm without carbon black). The lobe of flakes is in
+    # `sensors.optics.reflectance`.
+    Material("solid_black", 0.03, "diffuse", False, (22, 23, 25)),
+    Material("solid_dark_blue", 0.10, "diffuse", False, (30, 44, 84)),
+    Material("solid_grey", 0.12, "diffuse", False, (112, 116, 118)),
+    Material("solid_green", 0.22, "diffuse", False, (58, 92, 66)),
+    Material("solid_blue", 0.35, "diffuse", False, (48, 92, 168)),
+    Material("solid_red", 0.55, "diffuse", False, (184, 32, 34)),
+    Material("solid_dull_white", 0.60, "diffuse", False, (218, 218, 212)),
+    Material("solid_yellow", 0.65, "diffuse", False, (232, 182, 40)),
+    Material("solid_white", 0.75, "diffuse", False, (242, 243, 244)),
+    Material("flakes_black", 0.012, "flakes", False, (34, 36, 40)),
+    Material("flakes_dark_grey", 0.020, "flakes", False, (70, 74, 80)),
+    Material("flakes_dark_blue", 0.025, "flakes", False, (36, 50, 88)),
+    Material("flakes_grey", 0.045, "flakes", False, (122, 127, 132)),
+    Material("flakes_brown", 0.05, "flakes", False, (112, 92, 76)),
+    Material("flakes_blue", 0.06, "flakes", False, (64, 104, 160)),
+    Material("flakes_red", 0.07, "flakes", False, (150, 38, 44)),
+    Material("flakes_silver", 0.095, "flakes", False, (190, 194, 199)),
+    # What is seen through a pane: the light has crossed it twice, tinted glass passes about half of it each time.
+    Material("cabin", 0.03, "diffuse", False, (46, 47, 50)),
+    Material("seat", 0.08, "diffuse", False, (78, 76, 74)),
+    Material("tarpaulin", 0.50, "diffuse", False, (170, 172, 168)),
+    Material("tarpaulin_blue", 0.35, "diffuse", False, (38, 72, 140)),
+    Material("wood", 0.50, "diffuse", True, (172, 138, 96)),
+    Material("cloth_black", 0.12, "diffuse", True, (34, 34, 38)),
+    Material("cloth_denim", 0.40, "diffuse", True, (70, 88, 122)),
+    Material("cloth_red", 0.60, "diffuse", True, (170, 50, 52)),
+    Material("cloth_white", 0.75, "diffuse", True, (232, 230, 224)),
 )
 """Materials by index, which every face carries. New ones are appended: point cloud files hold the index."""
 

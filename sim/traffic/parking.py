@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 import shapely
 
-from sim.bodies.vehicle_types import TYPES, VehicleType
+from sim.bodies.fleet import Fleet
+from sim.bodies.vehicle_types import VehicleType
 from sim.geometry import Array, wrap_angle
 from sim.roads.kerbside import houses_of
 from sim.roads.network import Edge, Network
@@ -16,6 +17,7 @@ from sim.roads.networks import resolve_polygons
 from sim.rows import Rows
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
+from sim.traffic.base import PARKED
 
 NEAR_M = 120.0
 """Margin around `network.area_m` within which cars are parked, m."""
@@ -30,6 +32,8 @@ _FROM_LANE_M = 0.35
 _SPEED_MPS = (5.0, 14.5)
 _BEND_RAD = 0.12
 _UNIT_CLEAR_M = 4.0
+_LONGEST_M = 5.6
+"""Longest body that keeps to its bay wherever it stands in it, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +43,7 @@ class ParkedCars(Rows):
     Attributes:
         base: (P, 3) centres of their footprints on the road, m.
         yaw: (P,) rad.
-        kind: (P,) their types.
+        kind: (P,) their types, each of its own size in worlds of version 2.
         bays: polygons of all bays, empty ones included.
     """
 
@@ -66,20 +70,27 @@ def parked_cars(scenario: Scenario, net: Network, seed: int) -> ParkedCars:
     if share > 0:
         lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
         taken = _Ground(net, lanes, scenario)
+        fleet = Fleet.of(scenario, seed)
+        fitting = [
+            kind for label in ("car", "van") for kind in fleet.types_of(label) if fleet.largest(kind)[0] <= _LONGEST_M
+        ]
         for edge in sorted(net.getEdges(withInternal=False), key=lambda edge: edge.getID()):
             lane = _kerb_lane(edge)
             if lane is None or not taken.reaches(lane):
                 continue
             for middle, heading, bay in _slots(lane, net.kerb_side):
                 # Drawn for every bay, so that no car depends on bays elsewhere.
-                lot, kind = float(rng.uniform()), _draw(rng)
+                lot, kind = float(rng.uniform()), _draw(fitting, rng)
                 aside, along = rng.uniform(0.0, 0.15), rng.uniform(-0.3, 0.3)
                 turned = float(wrap_angle(heading + rng.normal(0.0, 0.015)))
                 if not taken.claim(bay):
                     continue
                 bays.append(bay)
                 if lot < share:
+                    kind = fleet.own(kind, f"{PARKED}{len(kinds)}")
                     out = 0.5 * lane.getWidth() + _FROM_LANE_M + 0.5 * kind.size[1] + aside
+                    # A wide one stands no farther out than its bay.
+                    out = min(out, 0.5 * lane.getWidth() + _FROM_LANE_M + BAY_M[1] - 0.5 * kind.size[1])
                     ahead = np.array([np.cos(heading), np.sin(heading)])
                     kerb = net.kerb_side * np.array([-ahead[1], ahead[0]])
                     base.append([*(middle[:2] + out * kerb + along * ahead), middle[2]])
@@ -162,9 +173,6 @@ def _kerb_lane(edge: Edge) -> RoadLane | None:
     return None
 
 
-_CARS = [kind for kind in TYPES.values() if kind.label in ("car", "van") and kind.size[0] < 5.5]
-
-
-def _draw(rng: np.random.Generator) -> VehicleType:
-    weights = np.array([kind.weight * (1.0 if kind.label == "car" else 0.2) for kind in _CARS])
-    return _CARS[int(rng.choice(len(_CARS), p=weights / weights.sum()))]
+def _draw(kinds: Sequence[VehicleType], rng: np.random.Generator) -> VehicleType:
+    weights = np.array([kind.weight * (1.0 if kind.label == "car" else 0.2) for kind in kinds])
+    return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]

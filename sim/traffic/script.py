@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies.choice import choose_model
+from sim.bodies.fleet import Fleet
 from sim.boxes import Boxes
 from sim.collisions import overlapping_pairs
 from sim.encounters import ENCOUNTERS, encounter_of
@@ -57,6 +57,7 @@ class ScriptedTraffic(DrivableTraffic):
         """Crashes so far: time in s and names of both actors."""
         self._instance = encounter_of(scenario, seed)
         self._lanes = LaneLookup(scenario, seed)
+        self._fleet = Fleet.of(scenario, seed)
         self._steps = 0
         self._disturbed = False
         self._driven = False
@@ -65,8 +66,8 @@ class ScriptedTraffic(DrivableTraffic):
         claimed = [ghost.actor for ghost in self._instance.ghosts]
         actors = self._instance.layout.actors
         ids = _ids(actors)
-        self._movers = [self._start(one, ids[one.name], seed) for one in actors]
-        self._ghosts = [self._start(one, FIRST_ID + 900 + row, seed) for row, one in enumerate(claimed)]
+        self._movers = [self._start(one, ids[one.name]) for one in actors]
+        self._ghosts = [self._start(one, FIRST_ID + 900 + row) for row, one in enumerate(claimed)]
         self._ego = self._movers[0]
         self._conflict = next((mover for mover in self._movers if "conflict" in mover.actor.roles), None)
         waits = ENCOUNTERS[self._instance.kind].waits
@@ -184,11 +185,11 @@ class ScriptedTraffic(DrivableTraffic):
         strongest, _, emergency = mover.actor.kind.accel_mps2
         return Limits(mover.scripted_speed(), strongest, emergency)
 
-    def _start(self, actor: ScriptedActor, object_id: int, seed: int) -> Mover:
+    def _start(self, actor: ScriptedActor, object_id: int) -> Mover:
         return Mover(
             actor=actor,
             object_id=object_id,
-            model=choose_model(actor.kind.label, actor.name, seed),
+            model=self._fleet.model(actor.kind, actor.name),
             lanes=self._lanes.along(actor),
             at_m=float(actor.place(0.0)),
             speed=float(actor.pace.at(0.0)),

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.bodies.choice import generic_models_for
-from sim.bodies.vehicle_types import VehicleType, types_of
+from sim.bodies.fleet import Fleet
+from sim.bodies.vehicle_types import VehicleType
 from sim.boxes import Boxes
 from sim.errors import ScenarioError, TrafficError, complaint
 from sim.geometry import wrap_angle
@@ -52,6 +53,7 @@ class HighwayTraffic(DrivableTraffic):
             raise ScenarioError(message)
         self._roads: LaneNetwork = read_roads(scenario.network.highway_env)
         self._rng = random_generator(seed, Stream.HIGHWAY_TRAFFIC)
+        self._fleet = Fleet.of(scenario, seed)
         self._road = Road(
             network=self._roads.network,
             road_objects=list(self._roads.objects),
@@ -192,9 +194,10 @@ class HighwayTraffic(DrivableTraffic):
         """Draw a vehicle type and the desired speed of its driver as a share of the limit."""
         labels = sorted(self._demand.type_mix)
         weights = np.array([self._demand.type_mix[label] for label in labels])
-        kinds = types_of(labels[int(self._rng.choice(len(labels), p=weights / weights.sum()))])
+        kinds = self._fleet.types_of(labels[int(self._rng.choice(len(labels), p=weights / weights.sum()))])
         weights = np.array([kind.weight for kind in kinds])
         kind = kinds[int(self._rng.choice(len(kinds), p=weights / weights.sum()))]
+        kind = self._fleet.own(kind, f"v{self._made}")
         return kind, float(np.clip(self._rng.normal(0.95, 0.08), 0.75, 1.1))
 
     def _is_free(self, number: int, along: float, kind: VehicleType, *, moving: bool) -> bool:

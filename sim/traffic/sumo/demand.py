@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.bodies.vehicle_types import TYPES, VehicleType, types_of
+from sim.bodies.fleet import Fleet
+from sim.bodies.vehicle_types import VehicleType
 from sim.errors import ScenarioError, complaint
 from sim.files import write_file
 from sim.roads.network import Network
@@ -33,34 +34,35 @@ def write_demand(scenario: Scenario, net: Network, seed: int, path: Path) -> Pat
         ScenarioError: a class that the scenario asks for has no route in the network.
     """
     streams = random_generator(seed, Stream.DEMAND).spawn(3)
+    kinds = _Kinds(Fleet.of(scenario, seed))
     end_s = scenario.warmup_s + scenario.duration_s + AFTER_S
     motor = _recorded if scenario.demand.trips else _vehicles
     trips = [
-        *motor(scenario, net, streams[0], end_s),
-        *_bicycles(scenario, net, streams[1], end_s),
-        *_persons(scenario, net, streams[2], end_s),
+        *motor(scenario, net, kinds, streams[0], end_s),
+        *_bicycles(scenario, net, kinds, streams[1], end_s),
+        *_persons(scenario, net, kinds, streams[2], end_s),
     ]
     trips.sort()
-    body = [kind.xml() for kind in TYPES.values()] + [text for _, _, text in trips]
+    body = [kind.xml() for kind in kinds.used.values()] + [text for _, _, text in trips]
     write_file(path, "<routes>\n  " + "\n  ".join(body) + "\n</routes>\n", edited=True)
     return path
 
 
 def _vehicles(
-    scenario: Scenario, net: Network, rng: np.random.Generator, end_s: float
+    scenario: Scenario, net: Network, kinds: "_Kinds", rng: np.random.Generator, end_s: float
 ) -> Iterator[tuple[float, str, str]]:
     labels = sorted(name for name, weight in scenario.demand.type_mix.items() if weight > 0)
     weights = np.array([scenario.demand.type_mix[name] for name in labels])
     routes: dict[str, Routes] = {}
     for index, depart_s in enumerate(_departures(scenario.demand.vehicles_per_hour, rng, end_s)):
-        kind = _choose_type(labels[int(rng.choice(len(labels), p=weights / weights.sum()))], rng)
+        kind = kinds.draw(labels[int(rng.choice(len(labels), p=weights / weights.sum()))], rng)
         if kind.vclass not in routes:
             routes[kind.vclass] = _require(scenario, net, kind.vclass)
-        yield _vehicle(f"v{index}", kind, routes[kind.vclass], depart_s, rng)
+        yield _vehicle(f"v{index}", kinds.own(kind, f"v{index}"), routes[kind.vclass], depart_s, rng)
 
 
 def _recorded(
-    scenario: Scenario, net: Network, rng: np.random.Generator, end_s: float
+    scenario: Scenario, net: Network, kinds: "_Kinds", rng: np.random.Generator, end_s: float
 ) -> Iterator[tuple[float, str, str]]:
     """Yield the recorded trips from a seeded start time on, in vehicles of `sim.bodies.vehicle_types`."""
     demand = scenario.demand
@@ -71,18 +73,17 @@ def _recorded(
     known = {edge.getID() for edge in net.getEdges(withInternal=False)}
     for index, trip in enumerate(read_trips(resolve_trips(scenario))):
         drawn = labels[int(rng.choice(len(labels), p=weights / weights.sum()))] if labels else trip.label
-        kind = _choose_type(drawn if trip.label not in ("pedestrian", "bicycle") else trip.label, rng)
+        kind = kinds.draw(drawn if trip.label not in ("pedestrian", "bicycle") else trip.label, rng)
         after_s = trip.depart_s - begin_s
         if not 0.0 <= after_s < end_s or not known.issuperset(trip.edges):
             continue
-        start = f'type="{kind.name}" depart="{after_s:.2f}"'
+        name = f"{'p' if trip.label == 'pedestrian' else 'v'}{index}"
+        start = f'type="{kinds.own(kind, name).name}" depart="{after_s:.2f}"'
         ends = f'from="{trip.edges[0]}" to="{trip.edges[-1]}"'
         if trip.label == "pedestrian":
-            name = f"p{index}"
             way = f'edges="{" ".join(trip.edges)}"' if trip.is_route else ends
             text = f'<person id="{name}" {start}><walk {way}/></person>'
         else:
-            name = f"v{index}"
             start = f'id="{name}" {start} departLane="best" departSpeed="max"'
             via = f' via="{" ".join(trip.edges[1:-1])}"' if len(trip.edges) > 2 else ""
             if trip.is_route:
@@ -93,13 +94,14 @@ def _recorded(
 
 
 def _bicycles(
-    scenario: Scenario, net: Network, rng: np.random.Generator, end_s: float
+    scenario: Scenario, net: Network, kinds: "_Kinds", rng: np.random.Generator, end_s: float
 ) -> Iterator[tuple[float, str, str]]:
     if scenario.demand.bicycles_per_hour == 0:
         return
     routes = _require(scenario, net, "bicycle")
     for index, depart_s in enumerate(_departures(scenario.demand.bicycles_per_hour, rng, end_s)):
-        yield _vehicle(f"b{index}", _choose_type("bicycle", rng), routes, depart_s, rng)
+        kind = kinds.own(kinds.draw("bicycle", rng), f"b{index}")
+        yield _vehicle(f"b{index}", kind, routes, depart_s, rng)
 
 
 def _vehicle(
@@ -114,7 +116,7 @@ def _vehicle(
 
 
 def _persons(
-    scenario: Scenario, net: Network, rng: np.random.Generator, end_s: float
+    scenario: Scenario, net: Network, kinds: "_Kinds", rng: np.random.Generator, end_s: float
 ) -> Iterator[tuple[float, str, str]]:
     """Yield walks between two random points of connected sidewalks and footways."""
     if scenario.demand.persons_per_hour == 0:
@@ -125,7 +127,7 @@ def _persons(
         raise ScenarioError(message)
     lengths = np.array([sum(edge.getLength() for edge in stretch) for stretch in stretches])
     for index, depart_s in enumerate(_departures(scenario.demand.persons_per_hour, rng, end_s)):
-        kind = _choose_type("pedestrian", rng)
+        kind = kinds.own(kinds.draw("pedestrian", rng), f"p{index}")
         stretch = stretches[int(rng.choice(len(stretches), p=lengths / lengths.sum()))]
         start, goal = (stretch[int(row)] for row in rng.integers(len(stretch), size=2))
         at_m, to_m = (rng.uniform(0.05, 0.95) * edge.getLength() for edge in (start, goal))
@@ -160,7 +162,21 @@ def _departures(per_hour: float, rng: np.random.Generator, end_s: float) -> Iter
         yield now_s
 
 
-def _choose_type(label: str, rng: np.random.Generator) -> VehicleType:
-    kinds = types_of(label)
-    weights = np.array([kind.weight for kind in kinds])
-    return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+class _Kinds:
+    """Types that trips use, by id: all of a fleet of fixed sizes, else one for each road user."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._fleet = fleet
+        self.used: dict[str, VehicleType] = {} if fleet.varied else {kind.name: kind for kind in fleet.types()}
+
+    def draw(self, label: str, rng: np.random.Generator) -> VehicleType:
+        """Return a type of a label, drawn by the weights."""
+        kinds = self._fleet.types_of(label)
+        weights = np.array([kind.weight for kind in kinds])
+        return kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+
+    def own(self, kind: VehicleType, name: str) -> VehicleType:
+        """Return the type of a road user, and use it."""
+        own = self._fleet.own(kind, name)
+        self.used[own.name] = own
+        return own

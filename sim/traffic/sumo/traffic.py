@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.bodies.choice import choose_model
-from sim.bodies.vehicle_types import TYPES, VehicleType
+from sim.bodies.fleet import Fleet
+from sim.bodies.vehicle_types import VehicleType
 from sim.boxes import Boxes
 from sim.errors import TrafficError
 from sim.geometry import center_from_sumo
@@ -97,6 +97,7 @@ class SumoTraffic(DrivableTraffic):
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.step_s = scenario.step_s
         self._seed = seed
+        self._fleet = Fleet.of(scenario, seed)
         self._placed = PlacedVehicles()
         self._users: dict[str, _RoadUser] = {}  # in the order of their ids
         self._constants = _Constants(np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, bool))
@@ -231,7 +232,7 @@ class SumoTraffic(DrivableTraffic):
         users: list[_RoadUser] = []
         for kind in cars.kind:
             name = f"{PARKED}{len(users)}"
-            model = choose_model(kind.label, name, self._seed)
+            model = self._fleet.model(kind, name)
             users.append(_RoadUser(FIRST_ID + len(users), name, kind, model, is_person=False))
         self._users |= {user.name: user for user in users}
         size = np.array([user.kind.size for user in users], dtype=np.float64).reshape(-1, 3)
@@ -298,8 +299,8 @@ class SumoTraffic(DrivableTraffic):
         if name in self._users:  # it departs again and keeps its number
             self._motion.forget(self._users[name].object_id - FIRST_ID)
             return
-        kind = TYPES[type_id]
-        model = choose_model(kind.label, name, self._seed)
+        kind = self._fleet.by_id(type_id)
+        model = self._fleet.model(kind, name)
         self._users[name] = _RoadUser(FIRST_ID + len(self._users), name, kind, model, is_person)
 
     def _read(self) -> Actors:
