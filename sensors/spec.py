@@ -80,6 +80,13 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         intensity_law: `reflectivity`: calibrated, independent of range in clear air; `distance`: exp(-attenuation *
             range) whatever was hit, as CARLA's; `power`: received power, as 1/range^2, 1 for a white target at 10 m.
         attenuation: of the `distance` law, 1/m.
+        blocked_deg: sectors that the carrier hides, as fixed to a roof: (azimuth from, azimuth to, counter-clockwise from
+            straight ahead, elevation); beams below the elevation return nothing there. Unset: none.
+        intensity_curve: (intensity by the law, intensity reported) knots from 0 on, linear in between: the scale of the
+            sensor itself, fitted to its sweeps. Beyond 1 lie retroreflectors. Unset: the law's, cut off at 1.
+        intensity_fade_m: range from which on the reported intensity falls, and that at which it is 0; unset: none.
+        lacquer: share of the diffuse light of vehicles' paint that comes back through its clear coat, which mirrors the
+            rest away; unset: paint is a rough surface without a coat.
         own_body: the body that carries the sensor is seen, as real sensors do; datasets crop it.
         mount_xyz_m: sensor above the footprint's centre at road level for vehicles, in the body frame.
         source: the document that the numbers come from.
@@ -117,6 +124,11 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     returns: Returns = "strongest"
     intensity_law: IntensityLaw = "reflectivity"
     attenuation: float = 0.004
+    # Unset fields are not written: files of sensors without them keep their bytes.
+    blocked_deg: tuple[tuple[float, float, float], ...] | msgspec.UnsetType = msgspec.UNSET
+    intensity_curve: tuple[tuple[float, float], ...] | msgspec.UnsetType = msgspec.UNSET
+    intensity_fade_m: tuple[float, float] | msgspec.UnsetType = msgspec.UNSET
+    lacquer: float | msgspec.UnsetType = msgspec.UNSET
     own_body: bool = False
     mount_xyz_m: tuple[float, float, float] = (0.0, 0.0, 1.9)
     source: str = ""
@@ -177,11 +189,36 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             ("divergence_vertical_rad", "0 to 0.1 rad", 0.0 <= vertical <= 0.1),
             ("pulse_s", "0 to 1 microsecond", 0.0 < self.pulse_s <= 1e-6),
             ("attenuation", "at least 0", 0.0 <= self.attenuation < math.inf),
+            *self._calibration_facts(),
             ("mount_xyz_m", "finite coordinates", all(map(math.isfinite, self.mount_xyz_m))),
             ("returns", f"one of {get_args(Returns)}", self.returns in get_args(Returns)),
             ("intensity_law", f"one of {get_args(IntensityLaw)}", self.intensity_law in get_args(IntensityLaw)),
             ("assumed", "names of fields", set(self.assumed) <= set(self.__struct_fields__)),
         ]
+
+    def _calibration_facts(self) -> list[tuple[str, str, bool]]:
+        """Return the checks of the fields that may be unset."""
+        facts = []
+        if self.blocked_deg is not msgspec.UNSET:
+            real = all(-180.0 <= start < end <= 180.0 and -90.0 <= top <= 90.0 for start, end, top in self.blocked_deg)
+            facts.append(
+                ("blocked_deg", "sectors within +-180 below +-90, of a head that turns", real and not self.prisms)
+            )
+        if self.intensity_curve is not msgspec.UNSET:
+            curve, lossless = self.intensity_curve, self.dropoff_zero_intensity == 0.0
+            grows = all(a < b and low <= high for (a, low), (b, high) in pairwise(curve))
+            whole = len(curve) > 1 and curve[0] == (0.0, 0.0) and curve[-1][0] < math.inf and curve[-1][1] <= 1.0
+            facts += [
+                ("intensity_curve", "knots from (0, 0) on that grow, up to 1", whole and grows),
+                ("intensity_law", "'reflectivity' beside intensity_curve", self.intensity_law == "reflectivity"),
+                ("dropoff_zero_intensity", "0 beside intensity_curve", lossless),
+            ]
+        if self.intensity_fade_m is not msgspec.UNSET:
+            near, far = self.intensity_fade_m
+            facts.append(("intensity_fade_m", "two ranges that grow", 0.0 <= near < far < math.inf))
+        if self.lacquer is not msgspec.UNSET:
+            facts.append(("lacquer", "a share in [0, 1]", 0.0 <= self.lacquer <= 1.0))
+        return facts
 
     @property
     def rings(self) -> int:
@@ -220,6 +257,17 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def beam_range(self) -> NDArray[np.float64]:
         """(R, 2) nearest and farthest range of each beam, m."""
         return np.array(self.beam_range_m or ((self.range_min_m, self.range_max_m),) * self.rings, np.float64)
+
+    @property
+    def blocked(self) -> NDArray[np.bool_]:
+        """(R, C) beams that the carrier hides."""
+        hidden = np.zeros((self.rings, self.columns), bool)
+        if self.blocked_deg is not msgspec.UNSET:
+            azimuth = np.degrees(self.azimuth + self.azimuth_offset[:, None])
+            elevation = np.array(self.elevation_deg)[:, None]
+            for start, end, top in self.blocked_deg:
+                hidden |= (elevation < top) & ((azimuth - start) % 360.0 < end - start)
+        return hidden
 
     @property
     def period_s(self) -> float:
@@ -267,6 +315,10 @@ def _whole(value: Any) -> int:
     return int(value)
 
 
+def _unless_unset(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return lambda value: value if value is msgspec.UNSET else read(value)
+
+
 def _exactly(kind: type) -> Callable[[Any], Any]:
     def read(value: object) -> Any:
         if isinstance(value, np.bool_):
@@ -301,6 +353,16 @@ _OF_TYPE: dict[Any, tuple[str, Callable[[Any], Any]]] = {
     tuple[float, ...]: ("a table of numbers", _each(_number)),
     tuple[float, float, float]: ("three numbers", _each(_number, 3)),
     tuple[tuple[float, float], ...]: ("a table of pairs of numbers", _each(_each(_number, 2))),
+    float | msgspec.UnsetType: ("a number", _unless_unset(_number)),
+    tuple[float, float] | msgspec.UnsetType: ("two numbers", _unless_unset(_each(_number, 2))),
+    tuple[tuple[float, float, float], ...] | msgspec.UnsetType: (
+        "a table of triples of numbers",
+        _unless_unset(_each(_each(_number, 3))),
+    ),
+    tuple[tuple[float, float], ...] | msgspec.UnsetType: (
+        "a table of pairs of numbers",
+        _unless_unset(_each(_each(_number, 2))),
+    ),
     tuple[str, ...]: ("a table of texts", _each(_exactly(str))),
     tuple[Prism, ...]: ("a table of Prism", _each(_exactly(Prism))),
 }

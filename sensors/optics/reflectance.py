@@ -14,16 +14,23 @@ surface that fills the beam, relative to a white surface hit squarely at the sam
                                             typically read of silver: L* of about 120, 60 and 35 at 15, 45 and 110
                                             degrees from the mirror's direction, twice a sensor's angle of incidence
 
+    lacquer (0.01 + share * rho) * cos(theta)   vehicles' paint where `spec.lacquer` gives a share: clear coat mirrors
+                                            most of the light away; 0.01 is the dust on it
+
 A film of water darkens what takes it up, because light is reflected back into the film on its way out (Lekner and
 Dorf 1988): rho_wet = (1 - 0.02) * rho * (1 - p) / (1 - p * rho) with p = 0.47; wet beads reflect like the paint below.
 
 A return is detected while power * exp(-2 alpha R) / R^2 is at least that of a target of reflectivity 0.1 at
 `spec.range_10_m`.
+
+`spec.intensity_curve` is the scale of a real sensor: what it reports over the intensity of the law, which is
+rho_apparent = power * R^2 here. It is applied to points, after the engines, by `reported`.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,6 +49,8 @@ _RETRO_GAIN = 8.0
 _FLAKE_GAIN, _FLAKE_POWER = 16.0, 27.0
 _MIRROR = COSINE_BINS / 4.0
 """The mirror of a pane ends where a bin does, so that reading the table widens it by nothing."""
+_DUST = 0.01
+"""Reflectivity of the dust on a clear coat."""
 _FILM_REFLECTED, _FILM_KEPT = 0.02, 0.47
 _POWER_LAW_M = 10.0
 _LEAST_NEED = 1e-12
@@ -54,7 +63,8 @@ class Optics:
     Attributes:
         power: (M, COSINE_BINS + 1) float32 returned power of each material over the cosine of incidence in [0, 1].
         need: (RANGE_BINS + 1,) float32 least power that is detected, over the range in [0, reach_m]; positive.
-        scale: (RANGE_BINS + 1,) float32: intensity is min(1, power * scale), or scale alone without `of_material`.
+        scale: (RANGE_BINS + 1,) float32: intensity is min(1, power * scale), or scale alone without `of_material`;
+            with `spec.intensity_curve` in units of its last knot.
         of_material: whether intensity depends on the surface.
         reach_m: range at the end of the tables.
         gate_m: largest distance between hits of one echo, m.
@@ -81,10 +91,14 @@ def optics_of(spec: LidarSpec, wetness: float = 0.0) -> Optics:
         "distance": np.exp(-spec.attenuation * distance),
         "power": clear * (_POWER_LAW_M / np.maximum(distance, 1e-3)) ** 2,
     }
+    power = [_power_of(material, spec, cosine, wetness) for material in MATERIALS]
+    scale = np.minimum(scales[spec.intensity_law], 1e6)
+    if spec.intensity_curve is not msgspec.UNSET:
+        scale = scale / spec.intensity_curve[-1][0]
     return Optics(
-        power=np.stack([returned_power(material, cosine, wetness) for material in MATERIALS]).astype(np.float32),
+        power=np.stack(power).astype(np.float32),
         need=np.maximum(need, _LEAST_NEED).astype(np.float32),
-        scale=np.minimum(scales[spec.intensity_law], 1e6).astype(np.float32),
+        scale=scale.astype(np.float32),
         of_material=spec.intensity_law != "distance",
         reach_m=spec.range_max_m,
         gate_m=0.5 * LIGHT_SPEED * spec.pulse_s,
@@ -100,6 +114,17 @@ def returned_power(material: Material, cosine: NDArray[np.float64], wetness: flo
     return (1.0 - wetness) * dry + wetness * wet
 
 
+def reported(spec: LidarSpec, intensity: NDArray[np.floating], distance: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return (P,) intensities as the sensor reports them, of (P,) intensities by its law at (P,) ranges, m."""
+    if spec.intensity_curve is not msgspec.UNSET:
+        law, scale = np.array(spec.intensity_curve).T
+        intensity = np.interp(intensity, law, scale).astype(intensity.dtype)
+    if spec.intensity_fade_m is not msgspec.UNSET:
+        near, far = spec.intensity_fade_m
+        intensity = (intensity * np.clip((far - distance) / (far - near), 0.0, 1.0)).astype(intensity.dtype)
+    return intensity
+
+
 def drop_chance(intensity: NDArray[np.float32], spec: LidarSpec) -> NDArray[np.float32]:
     """Return the chance of CARLA's drop-off: linear from zero intensity up to the limit, 0 beyond."""
     if spec.dropoff_intensity_limit <= 0.0:
@@ -111,6 +136,12 @@ def drop_chance(intensity: NDArray[np.float32], spec: LidarSpec) -> NDArray[np.f
 def wet_reflectivity(reflectivity: float) -> float:
     """Return the reflectivity of a rough surface below a film of water."""
     return (1.0 - _FILM_REFLECTED) * reflectivity * (1.0 - _FILM_KEPT) / (1.0 - _FILM_KEPT * reflectivity)
+
+
+def _power_of(material: Material, spec: LidarSpec, cosine: NDArray[np.float64], wetness: float) -> NDArray[np.float64]:
+    if spec.lacquer is msgspec.UNSET or not material.name.startswith("paint_"):
+        return returned_power(material, cosine, wetness)
+    return (_DUST + spec.lacquer * material.reflectivity) * cosine
 
 
 def _power(finish: str, reflectivity: float, cosine: NDArray[np.float64]) -> NDArray[np.float64]:

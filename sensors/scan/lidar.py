@@ -12,13 +12,14 @@ ground-truth box at `time_s` sits in the middle of the smear. `sensors.deskew` g
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.motion import Path
 from sensors.optics.beams import BLOCK, Beams, beams_of
 from sensors.optics.noise import draw_noise
-from sensors.optics.reflectance import optics_of
+from sensors.optics.reflectance import optics_of, reported
 from sensors.raycast import Returns, SweepRequest
 from sensors.scan.scene import RayScene
 from sensors.spec import LidarSpec
@@ -136,6 +137,7 @@ def _poses(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> tuple[ND
 
 
 def _sweep(sensor: Sensor, request: SweepRequest, returns: Returns) -> Sweep:
+    returns = _as_reported(sensor.spec, returns)
     return Sweep(
         **returns._asdict(),
         fate=np.full(len(returns.points), KEPT, np.uint8),
@@ -144,3 +146,15 @@ def _sweep(sensor: Sensor, request: SweepRequest, returns: Returns) -> Sweep:
         spec=sensor.spec,
         path=sensor.path,
     )
+
+
+def _as_reported(spec: LidarSpec, returns: Returns) -> Returns:
+    """Return the points that the carrier does not hide, with intensities on the sensor's own scale."""
+    if spec.blocked_deg is not msgspec.UNSET:
+        seen = ~spec.blocked[returns.ring, returns.column]
+        returns = Returns(*(column[seen] for column in returns))
+    if spec.intensity_curve is msgspec.UNSET and spec.intensity_fade_m is msgspec.UNSET:
+        return returns
+    full = 1.0 if spec.intensity_curve is msgspec.UNSET else spec.intensity_curve[-1][0]
+    distance = np.linalg.norm(returns.points, axis=1)
+    return returns._replace(intensity=reported(spec, returns.intensity * np.float32(full), distance))

@@ -253,7 +253,7 @@ def _beams_known(
     returns = np.bincount(beam, minlength=beams)
     if returns.max(initial=0) > _MOST_RETURNS:
         return unknown
-    silent = np.flatnonzero(returns == 0)
+    silent = np.flatnonzero((returns == 0) & ~spec.blocked.ravel())
     if spec.dropoff_rate > 0.0 and len(silent):
         answering = 1.0 - min(spec.dropoff_rate * beams / len(silent), 1.0)
         silent = silent[rng.random(beams)[silent] < answering]

@@ -11,10 +11,11 @@ what weather adds and takes away depends on it; clear sweeps are what they were.
 
 import math
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.optics.reflectance import CLEAR_AIR_EXTINCTION, COSINE_BINS, optics_of
+from sensors.optics.reflectance import CLEAR_AIR_EXTINCTION, COSINE_BINS, optics_of, reported
 from sensors.spec import LidarSpec
 from sensors.sweep import UNKNOWN_MATERIAL, Sweep
 
@@ -56,7 +57,8 @@ def target_power(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64
     """Return (P,) received power in clear air.
 
     A calibrated intensity i at range r means i / r^2; received power is the power. CARLA's intensity is independent of
-    the surface: there the material decides, and `DEFAULT_REFLECTIVITY` without one.
+    the surface, and on a scale of the sensor's own dark and far surfaces are alike: there the material decides, and
+    `DEFAULT_REFLECTIVITY` without one.
 
     Args:
         sweep: as measured in clear air.
@@ -65,7 +67,8 @@ def target_power(sweep: Sweep, reach: NDArray[np.float64]) -> NDArray[np.float64
     law = "reflectivity" if sweep.spec is None else sweep.spec.intensity_law
     if law == "power":
         return sweep.intensity.astype(np.float64) / _POWER_LAW_M**2
-    surface = _reflectivity(sweep, reach) if law == "distance" else sweep.intensity
+    of_surface = law == "distance" or _has_scale(sweep.spec)
+    surface = _reflectivity(sweep, reach) if of_surface else sweep.intensity
     return surface / np.maximum(reach, 1e-6) ** 2
 
 
@@ -76,7 +79,12 @@ def reported_intensity(
     law = "reflectivity" if spec is None else spec.intensity_law
     if spec is not None and law == "distance":
         return np.exp(-spec.attenuation * reach)
-    return np.minimum(power * (_POWER_LAW_M**2 if law == "power" else reach**2), 1.0)
+    intensity = power * (_POWER_LAW_M**2 if law == "power" else reach**2)
+    return np.minimum(intensity if spec is None else reported(spec, intensity, reach), 1.0)
+
+
+def _has_scale(spec: LidarSpec | None) -> bool:
+    return spec is not None and not (spec.intensity_curve is spec.intensity_fade_m is msgspec.UNSET)
 
 
 def overlap(range_m: NDArray[np.float64]) -> NDArray[np.float64]:
