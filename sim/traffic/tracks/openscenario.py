@@ -1,7 +1,8 @@
 """Tracks of an OpenSCENARIO: the storyboard played by time, on the lanes of its OpenDRIVE file.
 
 Played are teleports, speeds, lane changes, trajectories of vertices, and road users that come and leave; they begin at
-times. What needs anything else (other conditions, routes, catalogs) is refused by its name. On a lane road users keep
+times. What needs anything else (other conditions, routes) is refused by its name. Vehicles, pedestrians, maneuvers and
+trajectories may lie in catalogs. On a lane road users keep
 to it with their speed; off the lanes they go straight on. They do not react to each other.
 
 Source: ASAM OpenSCENARIO XML 1.0 to 1.3: a reference point is the origin of an entity's axes, in which its bounding box
@@ -21,6 +22,7 @@ from sim.errors import DataError, complaint
 from sim.reading import parsing
 from sim.roads.opendrive import LanePlace, OpenDrive
 from sim.traffic.tracks.base import Recording, Track, make_track
+from sim.traffic.tracks.openscenario_catalogs import expand_catalogs
 from sim.traffic.tracks.openscenario_motion import SHAPES, STEP_S, Change, Polyline, Pose, User
 from sim.traffic.tracks.xml_file import number_of, read_xml_bytes
 
@@ -52,7 +54,7 @@ class _Action(NamedTuple):
 
 
 def read_openscenario(path: Path) -> tuple[Recording, ...]:
-    """Read an .xosc, with the .xodr that it names.
+    """Read an .xosc, with the .xodr and the catalogs that it names.
 
     Raises:
         DataError: no OpenSCENARIO of version 1, a value is missing or wrong, or it uses what is not played; names it.
@@ -61,6 +63,7 @@ def read_openscenario(path: Path) -> tuple[Recording, ...]:
         root = ET.fromstring(read_xml_bytes(path, "OpenSCENARIO file"))
         if root.tag != "OpenSCENARIO" or root.find("Storyboard") is None:
             raise DataError(complaint(path, "root", "<OpenSCENARIO> with a storyboard", f"<{root.tag}>"))
+        expand_catalogs(path, root)
         return (_Player(path, root).play(),)
 
 
@@ -145,8 +148,6 @@ class _Player:
                         yield from (_Action(begins, name, action) for name in names)
                     for action in event.findall("Action/GlobalAction"):
                         yield _Action(begins, "", action)
-                if group.find("CatalogReference") is not None:
-                    raise DataError(complaint(self.path, "ManeuverGroup", "maneuvers", "a CatalogReference"))
 
     def _time(self, trigger: ET.Element | None, what: str) -> float:
         """Return when a trigger by time fires: with the first of its groups, each with the last of its conditions.

@@ -209,3 +209,61 @@ def test_roads_in_a_namespace_are_read(tmp_path: Path) -> None:
     path = write_road(tmp_path / "road.xodr")
     path.write_text(path.read_text().replace("<OpenDRIVE", '<OpenDRIVE xmlns="http://code.asam.net/simulation"', 1))
     assert OpenDrive(path).place("lane", LanePlace("7", -1, 10.0))[1] == pytest.approx(-0.5 * LANE_M)
+
+
+def write_catalog(folder: Path, name: str, *entries: Any) -> None:
+    folder.mkdir(exist_ok=True)
+    catalog = xosc.CatalogFile()
+    catalog.create_catalog(str(folder / f"{name}.xosc"), name, "entries", "a")
+    for entry in entries:
+        catalog.add_to_catalog(entry)
+    catalog.dump()
+
+
+def from_catalogs(path: Path, *, entry: str = "small", folder: str = "catalogs") -> Path:
+    """A vehicle and a maneuver of catalogs: it slows to a speed that the reference gives."""
+    write_catalog(path.parent / "catalogs", "Vehicles", vehicle("large"), vehicle("small"))
+    slow = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
+    parameters = xosc.ParameterDeclarations()
+    parameters.add_parameter(xosc.Parameter("wanted", xosc.ParameterType.double, "3"))
+    maneuver = xosc.Maneuver("slow", parameters)
+    event = xosc.Event("slow", xosc.Priority.parallel)
+    event.add_trigger(at(2.0))
+    event.add_action("slow", xosc.AbsoluteSpeedAction("$wanted", slow))
+    maneuver.add_event(event)
+    write_catalog(path.parent / "catalogs", "Maneuvers", maneuver)
+    entities, start = xosc.Entities(), xosc.Init()
+    entities.add_scenario_object("a", xosc.CatalogReference("Vehicles", entry))
+    start.add_init_action("a", xosc.TeleportAction(xosc.LanePosition(10, 0, -1, 7)))
+    start.add_init_action("a", step_speed(10))
+    reference_to = xosc.CatalogReference("Maneuvers", "slow")
+    reference_to.add_parameter_assignment("wanted", 5)
+    group = xosc.ManeuverGroup("group")
+    group.add_actor("a")
+    group.add_maneuver(reference_to)
+    act = xosc.Act("act", at(0.0))
+    act.add_maneuver_group(group)
+    story = xosc.StoryBoard(start, at(6.0, "stop"))
+    story.add_act(act)
+    catalogs = xosc.Catalog()
+    catalogs.add_catalog("VehicleCatalog", folder)
+    catalogs.add_catalog("ManeuverCatalog", folder)
+    roads = xosc.RoadNetwork(roadfile="road.xodr")
+    xosc.Scenario("s", "a", xosc.ParameterDeclarations(), entities, story, roads, catalogs).write_xml(str(path))
+    return path
+
+
+def test_vehicles_and_maneuvers_lie_in_catalogs(tmp_path: Path) -> None:
+    write_road(tmp_path / "road.xodr")
+    track = play(from_catalogs(tmp_path / "a.xosc"))["a"]
+    np.testing.assert_allclose(track.size, [4.5, 1.8, 1.5])
+    assert reference(track, 2.0)[0] == pytest.approx(30.0, abs=0.6)
+    assert reference(track, 6.0)[0] - reference(track, 3.0)[0] == pytest.approx(15.0, abs=1e-6)
+
+
+def test_a_catalog_or_an_entry_that_is_not_there_is_named(tmp_path: Path) -> None:
+    write_road(tmp_path / "road.xodr")
+    with pytest.raises(DataError, match="CatalogReference Vehicles: medium: expected an entry of this name"):
+        play(from_catalogs(tmp_path / "a.xosc", entry="medium"))
+    with pytest.raises(DataError, match="CatalogReference Vehicles: small: expected a file with this catalog"):
+        play(from_catalogs(tmp_path / "a.xosc", folder="elsewhere"))
