@@ -9,6 +9,7 @@ surface that fills the beam, relative to a white surface hit squarely at the sam
     retro    8 * rho * cos(theta)^0.1       plates, signs and rear reflectors
     glass    max(0, 1 - 256 (1 - cos(theta)))   a mirror: 1 - (theta / 5.1 deg)^2, and nothing beyond, as the light
                                             leaves for elsewhere; dust and what lies behind a pane return nothing
+    lacquer rho * cos(theta)                smooth paint below a clear coat: Lambert's law
     flakes  rho * (cos(theta)^0.5 + 16 cos(theta)^27)   metallic lacquer: flakes that lie nearly flat send light back
                                             squarely, aslant little. Chosen after what multi-angle meters (ASTM E2194)
                                             typically read of silver: L* of about 120, 60 and 35 at 15, 45 and 110
@@ -149,6 +150,8 @@ def _power(finish: str, reflectivity: float, cosine: NDArray[np.float64]) -> NDA
         return _RETRO_GAIN * reflectivity * cosine**0.1
     if finish == "beads":
         return reflectivity * cosine**0.25
+    if finish == "lacquer":
+        return reflectivity * cosine
     if finish == "flakes":
         return reflectivity * (cosine**0.5 + _FLAKE_GAIN * cosine**_FLAKE_POWER)
     if finish == "glass":

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from typing import Literal
 
-Finish = Literal["diffuse", "beads", "retro", "glass", "flakes"]
+Finish = Literal["diffuse", "beads", "retro", "glass", "lacquer", "flakes"]
 """Reflection models: rough surface, paint with glass beads, retro-reflector (back to the source at any angle), mirror
-(back at normal incidence only), and lacquer with metal flakes (bright squarely, dark aslant)."""
+(back at normal incidence only), lacquer (smooth, below a clear coat), and lacquer with metal flakes (bright squarely,
+dark aslant)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +68,15 @@ MATERIALS: tuple[Material, ...] = (
     # organic pigments (blue, red, brown) let it through to the primer below (Lim et al. 2022, doi
     # 10.1007/s13233-022-0037-5: dark tones of more than 60 % at 905 nm without carbon black). The lobe of flakes is in
     # `sensors.optics.reflectance`.
-    Material("solid_black", 0.03, "diffuse", False, (22, 23, 25)),
-    Material("solid_dark_blue", 0.10, "diffuse", False, (30, 44, 84)),
-    Material("solid_grey", 0.12, "diffuse", False, (112, 116, 118)),
-    Material("solid_green", 0.22, "diffuse", False, (58, 92, 66)),
-    Material("solid_blue", 0.35, "diffuse", False, (48, 92, 168)),
-    Material("solid_red", 0.55, "diffuse", False, (184, 32, 34)),
-    Material("solid_dull_white", 0.60, "diffuse", False, (218, 218, 212)),
-    Material("solid_yellow", 0.65, "diffuse", False, (232, 182, 40)),
-    Material("solid_white", 0.75, "diffuse", False, (242, 243, 244)),
+    Material("solid_black", 0.03, "lacquer", False, (22, 23, 25)),
+    Material("solid_dark_blue", 0.10, "lacquer", False, (30, 44, 84)),
+    Material("solid_grey", 0.12, "lacquer", False, (112, 116, 118)),
+    Material("solid_green", 0.22, "lacquer", False, (58, 92, 66)),
+    Material("solid_blue", 0.35, "lacquer", False, (48, 92, 168)),
+    Material("solid_red", 0.55, "lacquer", False, (184, 32, 34)),
+    Material("solid_dull_white", 0.50, "lacquer", False, (218, 218, 212)),
+    Material("solid_yellow", 0.60, "lacquer", False, (232, 182, 40)),
+    Material("solid_white", 0.68, "lacquer", False, (242, 243, 244)),
     Material("flakes_black", 0.012, "flakes", False, (34, 36, 40)),
     Material("flakes_dark_grey", 0.020, "flakes", False, (70, 74, 80)),
     Material("flakes_dark_blue", 0.025, "flakes", False, (36, 50, 88)),

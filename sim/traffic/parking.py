@@ -66,7 +66,8 @@ def parked_cars(scenario: Scenario, net: Network, seed: int) -> ParkedCars:
     """
     share = scenario.demand.parked_per_km * BAY_M[0] / 1000.0
     rng = random_generator(seed, Stream.PARKED_CARS)
-    base, yaw, kinds, bays = [], [], [], []
+    base, yaw, bays = [], [], []
+    kinds: list[VehicleType] = []
     if share > 0:
         lanes = [lane for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
         taken = _Ground(net, lanes, scenario)
