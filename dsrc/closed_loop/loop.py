@@ -29,7 +29,7 @@ from sim.contact import Contact, SolidWorld, first_contact, world_contact
 from sim.errors import SettingsError, TrafficError, UserError, complaint
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, DrivableTraffic
-from sim.traffic.open import open_traffic
+from sim.world.standing import open_standing
 
 _FARTHEST = 1e6
 """Largest coordinate and speed of a valid percept, m and m/s."""
@@ -192,7 +192,7 @@ class ClosedLoop:
         """
         self.close()
         self.scenario = with_proven_encounter(self.base, seed)
-        self._traffic = traffic = open_traffic(self.scenario, seed)
+        self._traffic = traffic = open_standing(self.scenario, seed)
         self.ego_id = choose_ego(traffic, self.scenario)
         self.ticks, self.outcome, self.message, self.seconds = [], None, "", {}
         self._tracker, self._stood_s, self._moved = Tracker(), 0.0, False

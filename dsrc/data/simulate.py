@@ -138,7 +138,7 @@ def _build_world(scenario: Scenario, seed: int, log: TrafficLog, path: Path) -> 
 
 
 def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: float, path: Path, more: dict) -> None:
-    from sim.traffic.open import open_traffic
+    from sim.world.standing import open_standing
 
     about = {
         "scenario": _non_defaults(scenario),
@@ -147,7 +147,7 @@ def _simulate_traffic(scenario: Scenario, seed: int, frames: int, interval_s: fl
         "interval_s": float(interval_s),
         **more,
     }
-    with open_traffic(scenario, seed) as traffic:
+    with open_standing(scenario, seed) as traffic:
         log = TrafficLog(traffic.step_s, about)
         log.append(traffic.actors)
         steps = (frames - 1) * round(interval_s / traffic.step_s) + math.ceil(PLAN_S / traffic.step_s)

@@ -38,6 +38,7 @@ from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.traffic.base import Actors
 from sim.traffic.script import FIRST_ID, ScriptedTraffic
+from sim.world.standing import standing
 
 UNSEEN_POINTS = 5
 SEEN_POINTS = 20
@@ -261,11 +262,12 @@ class _Drive:
 
 
 def _roll_out(scenario: Scenario, seed: int) -> _Drive:
+    stand = standing(scenario, seed)
     with ScriptedTraffic(scenario, seed) as traffic:
-        steps = [traffic.actors.rounded()]  # as a drive has them
+        steps = [stand(traffic.actors).rounded()]  # as a drive has them
         while traffic.time_s < _MOST_S and not traffic.crashes:
-            steps.append(traffic.step().rounded())
-        steps.append(traffic.step().rounded())
+            steps.append(stand(traffic.step()).rounded())
+        steps.append(stand(traffic.step()).rounded())
         if not traffic.crashes:
             return _Drive(tuple(steps), None, "")
         time_s, *names = traffic.crashes[0]

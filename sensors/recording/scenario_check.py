@@ -14,8 +14,8 @@ from sim.catalog.load import load_scenario
 from sim.errors import ScenarioError, UserError
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
-from sim.traffic.open import open_traffic
 from sim.world.build import build_world
+from sim.world.standing import open_standing
 
 FRAMES = 2
 
@@ -53,10 +53,10 @@ def _failures(scenario: Scenario, seed: int) -> Iterator[str]:
     if not len(world.faces) or not np.isfinite(world.vertices).all():
         yield f"world: expected finite triangles, found {len(world.faces)} and {len(world.vertices)} corners"
         return
-    with open_traffic(scenario, seed) as traffic:
+    with open_standing(scenario, seed) as traffic:
         first = traffic.actors
         recording = record(traffic, world, scenario, seed, FRAMES, scenario.step_s)
-    with open_traffic(scenario, seed) as again:
+    with open_standing(scenario, seed) as again:
         if _bytes(again.actors) != _bytes(first):
             yield "traffic: expected the same actors for the same seed, found others"
     for index, actors in enumerate(recording.steps):

@@ -124,7 +124,8 @@ def _nodes(streets: Streets, covered: shapely.Geometry, axes: _Axes) -> Array:
     frame = shapely.box(*streets.window)
     verge = (covered.buffer(_VERGE_M, quad_segs=2) & frame) - covered
     apron = (covered.buffer(_APRON_M, quad_segs=2) & frame) - covered - verge
-    edges = np.concatenate([_spaced(shape.boundary, CELL_M) for shape in (covered, streets.road)])
+    crown = streets.road.buffer(-_CROWN_M, join_style="mitre")
+    edges = np.concatenate([_spaced(shape.boundary, CELL_M) for shape in (covered, streets.road, crown)])
     kept = [rim(low, high), edges, axes.xy[:: round(CELL_M / _ALONG_M)]]
     for shape, cell_m in ((covered, CELL_M), (verge, _VERGE_CELL_M), (apron, _APRON_CELL_M)):
         kept.append(_inside(shape, low, high, max(cell_m, float(np.sqrt(shape.area / _MOST_NODES)))))

@@ -72,7 +72,8 @@ class Relief:
 def draw_relief(seed: int, bounds: ReliefBounds) -> Relief:
     """Draw the relief of a place; all its waves are equally steep."""
     rng = random_generator(seed, Stream.RELIEF)
-    length = np.exp(rng.uniform(*np.log(bounds.wavelength_m), _WAVES))
+    shortest, longest = bounds.wavelength_m
+    length = shortest * (longest / shortest) ** rng.uniform(size=_WAVES)
     turn = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
     number = 2.0 * np.pi / length
     slope = float(rng.uniform(*bounds.steepest)) / _WAVES

@@ -71,9 +71,9 @@ def test_a_part_that_cannot_be_made_is_one_line() -> None:
 
 
 def test_traffic_that_differs_from_run_to_run_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = module.open_traffic
+    opened = module.open_standing
     seeds = iter((1, 2))
-    monkeypatch.setattr(module, "open_traffic", lambda scenario, seed: opened(scenario, next(seeds)))
+    monkeypatch.setattr(module, "open_standing", lambda scenario, seed: opened(scenario, next(seeds)))
     monkeypatch.setattr(module, "build_world", lambda scenario, seed: _plane())
     with pytest.raises(ScenarioError, match="expected the same actors for the same seed"):
         check_scenario("four_way")

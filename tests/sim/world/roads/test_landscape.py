@@ -1,0 +1,120 @@
+"""Uneven land: streets level across but for their crowns, no steeper than their land along it, rough ground beside."""
+
+import msgspec
+import numpy as np
+import pytest
+import shapely
+
+from sim.catalog.load import load_scenario
+from sim.mesh.materials import material_index
+from sim.scenario import Scenario
+from sim.world.build import build_world
+from sim.world.ground import streets_of
+from sim.world.roads.landscape import CROSS_FALL, DITCH_M, ROUGH_M
+from sim.world.roads.markings import offset
+from sim.world.roads.relief import MOTORWAY, TOWN
+from sim.world.roads.streets import Lane, Streets
+from sim.world.roads.surfaces import GROUND_BELOW_M, pavement
+
+
+def scenario(name: str = "four_way") -> Scenario:
+    return msgspec.structs.replace(load_scenario(name), world=2)
+
+
+@pytest.fixture(scope="module")
+def town() -> Streets:
+    return streets_of(scenario(), 1)
+
+
+def arms(streets: Streets) -> list[Lane]:
+    """Return the lanes of the arms of the crossing."""
+    return [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal]
+
+
+def places(lane: Lane) -> np.ndarray:
+    line = shapely.segmentize(shapely.LineString(lane.line), 2.0)
+    return np.asarray(shapely.get_coordinates(line))[5:-5]
+
+
+def within(streets: Streets, xy: np.ndarray) -> np.ndarray:
+    frame = np.array(streets.window)
+    return xy[((xy > frame[:2] + 20.0) & (xy < frame[2:] - 20.0)).all(axis=1)]
+
+
+def test_along_its_lanes_a_street_is_no_steeper_than_its_land(town: Streets) -> None:
+    steep = []
+    for lane in arms(town):
+        xy = within(town, places(lane))
+        rise = np.diff(town.height(xy)) / np.hypot(*np.diff(xy, axis=0).T)
+        steep.append(np.abs(rise))
+    # Triangles of 4 m let the crown show where a lane runs along its edge.
+    assert 0.01 < np.quantile(np.concatenate(steep), 0.9) and np.concatenate(steep).max() < TOWN.steepest[1] + 0.02
+
+
+def test_across_a_street_falls_from_its_middle_to_its_edges(town: Streets) -> None:
+    falls = []
+    for lane in arms(town):
+        if lane.index == 0:
+            inner, outer = (town.height(offset(places(lane), side * 0.7 * lane.kerb_side)) for side in (-1.0, 1.0))
+            falls.append((inner - outer) / 1.4)
+    fall = np.concatenate(falls)
+    assert np.median(fall) == pytest.approx(CROSS_FALL, abs=0.006)
+    assert np.quantile(np.abs(fall - CROSS_FALL), 0.9) < 0.02
+
+
+def test_unpaved_ground_is_rough_and_paved_ground_smooth(town: Streets) -> None:
+    nodes = town.terrain.nodes
+    frame = shapely.box(*town.window)
+    paved = shapely.union_all([town.road, town.walk, pavement(town)])
+    verge = (paved.buffer(12.0) - paved.buffer(2.0)) & frame
+    shapely.prepare(verge)
+    xy = nodes[shapely.contains_xy(verge, *nodes[:, :2].T)]
+
+    def residual(rows: np.ndarray) -> float:
+        from scipy.spatial import cKDTree
+
+        left = []
+        for near in cKDTree(rows[:, :2]).query_ball_point(rows[::40, :2], 3.0):
+            if len(near) > 8:
+                plane = np.column_stack([rows[near, :2] - rows[near, :2].mean(axis=0), np.ones(len(near))])
+                fit, *_ = np.linalg.lstsq(plane, rows[near, 2], rcond=None)
+                left.append(rows[near, 2] - plane @ fit)
+        return float(np.concatenate(left).std())
+
+    smooth = town.road.buffer(-1.5)
+    inside = nodes[shapely.contains_xy(smooth, *nodes[:, :2].T)]
+    assert 0.7 * ROUGH_M < residual(xy) < 1.5 * ROUGH_M
+    assert len(inside) > 200 and np.isfinite(inside).all()
+
+
+def test_the_ground_lies_below_what_it_carries_and_the_world_is_closed(town: Streets) -> None:
+    mesh = build_world(scenario(), 1)
+    for name, lift in (("asphalt", 0.0), ("marking", 0.01), ("ground", -GROUND_BELOW_M)):
+        corners = mesh.vertices[np.unique(mesh.faces[mesh.face_attributes["material"] == material_index(name)])]
+        np.testing.assert_allclose(corners[:, 2], town.height(corners[:, :2]) + lift, atol=1e-6)
+    assert np.isfinite(mesh.vertices).all() and len(mesh.faces) < 200_000
+
+
+def test_equal_seeds_build_equal_ground_and_level_worlds_are_as_before(town: Streets) -> None:
+    streets_of.__globals__["_uneven"].cache_clear()
+    again = streets_of(scenario(), 1)
+    assert again is not town and again.terrain.nodes.tobytes() == town.terrain.nodes.tobytes()
+    assert streets_of(scenario(), 2).terrain.nodes.tobytes() != town.terrain.nodes.tobytes()
+    level = streets_of(load_scenario("four_way"), 1)
+    assert level.terrain.flat and len(level.terrain.faces) == 2
+    assert streets_of(msgspec.structs.replace(scenario(), world=1), 1).terrain.flat
+
+
+def test_beside_a_motorway_is_a_ditch_and_its_land_is_gentler() -> None:
+    streets = streets_of(scenario("highway"), 1)
+    lanes = [lane for lane in arms(streets) if lane.speed > 25.0]
+    lines = [within(streets, places(lane)) for lane in lanes]
+    rise = np.concatenate([np.diff(streets.height(xy)) / np.hypot(*np.diff(xy, axis=0).T) for xy in lines])
+    assert np.abs(rise).max() < MOTORWAY.steepest[1] + 0.02
+    outside = streets.road.buffer(3.25).exterior if hasattr(streets.road, "exterior") else None
+    rings = [outside] if outside is not None else [part.buffer(3.25).exterior for part in streets.road.geoms]
+    frame = shapely.box(*streets.window).buffer(-5.0)
+    ditch = np.concatenate([shapely.get_coordinates(shapely.segmentize(ring, 3.0) & frame) for ring in rings])
+    edge = shapely.get_coordinates(shapely.shortest_line(streets.road, shapely.points(ditch))).reshape(-1, 2, 2)[:, 0]
+    depth = streets.height(edge) - streets.height(ditch)
+    assert np.median(depth) == pytest.approx(DITCH_M, abs=0.2)
