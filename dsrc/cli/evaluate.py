@@ -13,6 +13,9 @@ from dsrc.runs.executors import Pool
 class Detect(Detection, frozen=True, kw_only=True):
     """Detect in drives and write the boxes: JSON, and KITTI's or OpenCOOD's form.
 
+    Boxes out of the detector's range are left out, as are those out of the part of the scene in which labels hold, such
+    as KITTI's picture.
+
     Examples:
         dsrc detect data/test --checkpoint detector.pt --out boxes
         dsrc detect data/test --checkpoint my_module:Detector --height auto --format kitti --out boxes

@@ -97,6 +97,8 @@ class View(ServeOptions, frozen=True, kw_only=True):
             unused |= dict.fromkeys(_OF_SERVER, f"a picture is drawn without a server; {_LEAVE_OUT}")
         else:
             unused["link"] = "{} says what a picture shows; add --picture or --animation"
+        if self.checkpoint is None:
+            unused["height"] = "{} is of a detector's clouds; add --checkpoint"
         if not draws:
             unused["size"] = "{} is of pictures; add --picture or --animation"
         if self.out is None and self.animation is None:
@@ -131,7 +133,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
             if path is not None:
                 check_apart(path, self.data)
                 check_output(path, kind)
-        model = open_model(self.data, self.checkpoint, self.drives, self.engine)
+        model = open_model(self.data, self.checkpoint, self.drives, self.engine, self.height)
         start = first_state(model, self)
         state, _, complaints = read_link(self.link, model, start)
         if complaints:

@@ -100,6 +100,12 @@ def check_height(where: str, height: object) -> str:
     raise SettingsError(complaint(where, "height", "recorded, auto or metres of the LiDAR above the ground", text))
 
 
+def height_in_use(where: str, height: str) -> dict[str, bool | int | float | str]:
+    """Return a height as `use` of a detector, none for `recorded`; raises as `check_height`."""
+    checked = check_height(where, height)
+    return {} if checked == RECORDED else {"height": checked}
+
+
 def _taller(settings: DetectorSettings) -> DetectorSettings:
     def taller(grid: GridSpec) -> GridSpec:
         x0, y0, z0, x1, y1, z1 = grid.range_m

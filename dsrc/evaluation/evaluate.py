@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from dsrc.data.drives import open_drives
-from dsrc.detectors.levelled import RECORDED, check_height
+from dsrc.detectors.levelled import height_in_use
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
 from dsrc.evaluation.detect import join_results
@@ -86,8 +86,7 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
                 complaint("evaluate", "checkpoint", "names that differ", found, "; give names: name=path")
             )
         files[name] = path
-    height = check_height("evaluate", config.height)
-    use: dict[str, bool | int | float | str] = {} if height == RECORDED else {"height": height}
+    use = height_in_use("evaluate", config.height)
     methods = [MethodSpec(name=name, detectors=(path,), use=use) for name, path in files.items()]
     drives = open_drives(config.data)
     if config.ego_alone and any(len(drive.agents) > 1 for drive in drives):

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from dsrc.detectors.levelled import RECORDED, check_height
+from dsrc.detectors.levelled import height_in_use
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
 from dsrc.evaluation.report.report import provenance_of, stored_index, write_results
@@ -35,8 +35,7 @@ def detect_drives(config: Detection, pool: Pool = SERIAL, progress: Progress | N
         UserError: a file, a drive or a setting is wrong.
     """
     (name, text), *_ = named([str(config.checkpoint)])
-    height = check_height("detect", config.height)
-    use: dict[str, bool | int | float | str] = {} if height == RECORDED else {"height": height}
+    use = height_in_use("detect", config.height)
     plan = Benchmark(
         name="detect",
         methods=(MethodSpec(name=name, detectors=(text,), use=use, agents=1 if config.ego_only else None),),

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from dsrc.data.drives import open_drives
-from dsrc.detectors.levelled import RECORDED, check_height
+from dsrc.detectors.levelled import height_in_use
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
 from dsrc.evaluation.detect import MethodResult, join_results
@@ -170,8 +170,7 @@ def _plans(config: Stressing) -> list[Benchmark]:
     if not 0.0 < config.share < 1.0:
         raise SettingsError(complaint("stress", "share", "more than 0, less than 1", config.share))
     (name, text), *_ = named([str(config.detector)])
-    height = check_height("stress", config.height)
-    use: dict[str, bool | int | float | str] = {} if height == RECORDED else {"height": height}
+    use = height_in_use("stress", config.height)
     groups = config.corrupted_agents
     drives = open_drives(config.data)
     if all(len(drive.agents) == 1 for drive in drives):

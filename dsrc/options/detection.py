@@ -28,6 +28,8 @@ Kinds = Annotated[tuple[str, ...], choice(("clean", "paper_six", "all", *CORRUPT
 Engine = Literal["fused", "bf16", "compiled", "plain"]
 AutoEngine = Literal["auto", "fused", "bf16", "compiled", "plain"]
 Device = Literal["cpu", "cuda"]
+Height = Annotated[str, arg(metavar="{recorded,auto,METRES}")]
+"""Ground under the clouds, see `dsrc.detectors.levelled`."""
 Channels = Annotated[tuple[str, ...], choice(CHANNELS, several=True)]
 PROTOCOLS = (
     "opencood",
@@ -81,7 +83,7 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
     frames: int | None = None
     ego_alone: bool = True
     channel: Channels = ()
-    height: Annotated[str, arg(metavar="{recorded,auto,METRES}")] = "recorded"
+    height: Height = "recorded"
     engine: Engine = "fused"
     device: Device = "cpu"
     reuse: tuple[Folder, ...] = ()
@@ -108,7 +110,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True):
     data: Data
     out: Folder
     format: tuple[Literal["kitti", "opencood"], ...] = ()
-    height: Annotated[str, arg(metavar="{recorded,auto,METRES}")] = "recorded"
+    height: Height = "recorded"
     ego_only: bool = False
     frames: int | None = None
     engine: Engine = "fused"
@@ -146,7 +148,7 @@ class Stressing(msgspec.Struct, frozen=True, kw_only=True):
     share: float = 0.5
     quick: bool = False
     frames: int | None = None
-    height: Annotated[str, arg(metavar="{recorded,auto,METRES}")] = "recorded"
+    height: Height = "recorded"
     seed: int = 0
     engine: Engine = "fused"
     device: Device = "cpu"

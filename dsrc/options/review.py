@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from dsrc.options.detection import AutoEngine, Checkpoint
+from dsrc.options.detection import AutoEngine, Checkpoint, Height
 from dsrc.options.fields import CORRUPTIONS, Corrupted, Data, File, Folder, choice
 
 ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
@@ -18,12 +18,14 @@ class Review(Corrupted, frozen=True, kw_only=True):
         checkpoint: detector whose detections are drawn and matched, see dsrc evaluate; default: no detections.
         corruption: corruption at the start.
         drives: folder of the drives of results or of a training, where they were moved; default: where they were.
+        height: ground under the clouds that the detector gets, see dsrc detect.
         engine: execution of the network, see dsrc drive.
     """
 
     checkpoint: Checkpoint | None = None
     corruption: Annotated[str, choice(("clean", *CORRUPTIONS))] = "clean"
     drives: Folder | None = None
+    height: Height = "recorded"
     engine: AutoEngine = "auto"
 
 

@@ -219,7 +219,11 @@ def _no_boxes() -> dict[str, Boxes]:
 
 
 def open_model(
-    root: Path, checkpoint: Path | str | None = None, data: Path | None = None, engine: str = "auto"
+    root: Path,
+    checkpoint: Path | str | None = None,
+    data: Path | None = None,
+    engine: str = "auto",
+    height: str = "recorded",
 ) -> ReviewModel:
     """Open what a path holds, see `open_sources`, and a detector.
 
@@ -227,6 +231,7 @@ def open_model(
         root: drives, results of an evaluation or benchmark, a training, or episode logs.
         data: where the drives of results or of a training are now; None for where they were.
         engine: execution of the network, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
+        height: ground under the clouds that the detector gets, see `dsrc.detectors.levelled`.
 
     Raises:
         DataError: the path holds nothing of these, or something in it is damaged or of other data.
@@ -234,7 +239,7 @@ def open_model(
     """
     root = Path(root)
     sources = open_sources(root, data, engine)
-    add_detectors(sources, [] if checkpoint is None else [str(checkpoint)], engine)
+    add_detectors(sources, [] if checkpoint is None else [str(checkpoint)], engine, height)
     # Notes lie beside what they are about; a split of DAIR-V2X-C is no folder.
     notes = NoteBook(root if root.is_dir() else root.with_name(f"{root.name}.notes.json"))
     return ReviewModel(sources, notes=notes)

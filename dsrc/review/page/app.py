@@ -257,7 +257,7 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
     """
     Condition.of(options.corruption, options.severity, options.family, options.corrupted_agents).checked()
     port, _ = checked_port(options.host, options.port), allowed_hosts(options.allow_origin)  # told before the work
-    model = open_model(options.data, options.checkpoint, options.drives, options.engine)
+    model = open_model(options.data, options.checkpoint, options.drives, options.engine, options.height)
     start = first_state(model, options)
     server = start_server(options.host, port, options.allow_origin)
     app = ReviewApp(model, server, start)

@@ -77,12 +77,15 @@ def _is_log(path: Path) -> bool:
         return False
 
 
-def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str], engine: str = "auto") -> None:
+def add_detectors(
+    sources: Sequence[Source], checkpoints: Sequence[str], engine: str = "auto", height: str = "recorded"
+) -> None:
     """Add a computed set for each detector to each source.
 
     Args:
         checkpoints: detectors, DETECTOR or NAME=DETECTOR, see `dsrc.detectors.open`.
         engine: execution of the networks of files, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
+        height: ground under the clouds that they get, see `dsrc.detectors.levelled`.
 
     Raises:
         UserError: a detector does not open.
@@ -97,6 +100,6 @@ def add_detectors(sources: Sequence[Source], checkpoints: Sequence[str], engine:
     for name, text in named(checkpoints):
         if name in detectors or any(name in source.sets for source in sources):
             raise SettingsError(complaint("view", "checkpoint", "names that differ", name, "; give names: name=path"))
-        detectors[name] = open_detector(text, engine=engine)
+        detectors[name] = open_detector(text, engine=engine, use={"height": height})
     for source in sources:
         source.sets.update({name: ComputedSet(name, detector) for name, detector in detectors.items()})

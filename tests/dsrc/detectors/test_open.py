@@ -10,6 +10,7 @@ import pytest
 
 from dsrc.data.sample import make_sample
 from dsrc.detectors.check import check_detector
+from dsrc.detectors.levelled import LevelledDetector
 from dsrc.detectors.open import detector_sha256, open_detector
 from dsrc.detectors.texts import kind_of, split_name, stem_of
 from dsrc.evaluation.config import read_benchmark
@@ -18,6 +19,7 @@ from dsrc.evaluation.sharing.drives import share_drives
 from dsrc.evaluation.stored import read_index
 from dsrc.options.detection import Evaluation, Sharing
 from dsrc.review.model import open_model
+from dsrc.review.sources.detected import ComputedSet
 from dsrc.runs.executors import Pool
 from sim.errors import CheckpointError, SettingsError
 from tests.commands import dsrc
@@ -135,6 +137,8 @@ def test_shares_and_view_take_them(own: str, tmp_path: Path) -> None:
     assert rows and {row.agent for row in rows} >= {"ego"}
     model = open_model(tmp_path / "data", own)
     assert "Densest" in model.sources[0].sets
+    levelled = open_model(tmp_path / "data", own, height="auto").sources[0].sets["Densest"]
+    assert isinstance(levelled, ComputedSet) and isinstance(levelled.detector, LevelledDetector)
 
 
 def test_a_changed_class_is_another_detector(own: str, tmp_path: Path) -> None:

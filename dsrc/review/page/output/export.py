@@ -71,7 +71,7 @@ def export_html(options: PageOptions) -> Path:
         CheckpointError: the checkpoint cannot be loaded.
     """
     Condition.of(options.corruption, options.severity, options.family, options.corrupted_agents).checked()
-    model = open_model(options.data, options.checkpoint, options.drives, options.engine)
+    model = open_model(options.data, options.checkpoint, options.drives, options.engine, options.height)
     if not 0 <= options.drive < len(model.drives):
         raise SettingsError(complaint("view", "drive", f"0 to {len(model.drives) - 1}", options.drive))
     rows = _rows(model, options.drive, options.frames)
