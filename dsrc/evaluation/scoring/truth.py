@@ -53,8 +53,8 @@ def truth_of_frame(frame: Frame, ego_id: int | None = None, drive: str = "") -> 
 def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None = None) -> dict[FrameKey, Truth]:
     """Read the true boxes of frames.
 
-    Those that count are judged as float32, as stored ones are; a box that ends at the border of a range is in it or out
-    of it by its own digits, as in OpenCOOD. Frames of drives without ground truth are left out.
+    Those that count are judged as float32, as stored ones are; which of them count is decided before, see
+    `Protocol.counts`. Frames of drives without ground truth are left out.
 
     Args:
         tree: drive, folder of drives, or KITTI's object tree, as labels alone where frames name no drive.

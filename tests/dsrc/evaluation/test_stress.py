@@ -27,8 +27,8 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def config_of(world: Path, out: str = "out", **settings: object) -> Stressing:
-    given = {"corruption": ("point_dropping", "pose_error"), "severity": (1, 5), **settings}
-    return Stressing(detector=str(world / "small.pt"), data=world / "data", out=world / out, **given)
+    chosen = {"data": world / "data", "corruption": ("point_dropping", "pose_error"), "severity": (1, 5), **settings}
+    return Stressing(detector=str(world / "small.pt"), out=world / out, **chosen)
 
 
 @pytest.fixture(scope="module")
@@ -122,3 +122,26 @@ def test_drives_of_one_agent_have_no_groups_of_agents(world: Path) -> None:
         detector=str(world / "small.pt"), data=data, out=world / "alone", corruption=("point_dropping",), severity=(5,)
     )
     assert [(one.corruption, one.who) for one in stress(config).rows] == [("clean", ""), ("point_dropping", "all")]
+
+
+@pytest.mark.parametrize("command", ["stress", "benchmark"])
+def test_a_named_corruption_that_the_sweeps_do_not_take_is_refused_before_the_work(world: Path, command: str) -> None:
+    """Points of a KITTI tree have no rings, and those of this one no comb of elevations either."""
+    data, out = kitti_object(world / command), world / f"refused_{command}"
+    detector = [str(world / "small.pt"), str(data)]
+    words = detector if command == "stress" else ["--checkpoint", detector[0], "--data", detector[1]]
+    done = dsrc(command, *words, "--out", str(out), "--corruption", "fog", "beam_missing", "--workers", "1")
+    assert done.returncode == 2
+    (line,) = [line for line in done.stderr.splitlines() if "error" in line.lower()]
+    assert "frame 0: agent" in line and "beam_missing: expected points with their rings" in line
+    assert not (out / "cells").exists()
+
+
+def test_a_corruption_of_a_group_that_the_sweeps_do_not_take_is_left_out(
+    world: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = kitti_object(world / "ringless")
+    given = {"data": data, "corruption": ("paper_six",), "severity": (5,), "frames": 1}
+    kinds = {one.corruption for one in stress(config_of(world, "group", **given)).rows}
+    assert "beam_missing" not in kinds and {"clean", "fog"} <= kinds
+    assert "stress: leaves out beam_missing" in caplog.text

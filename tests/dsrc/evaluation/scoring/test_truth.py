@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from dsrc.data.datasets.convert import convert
 from dsrc.data.drives import open_drive
@@ -112,16 +113,31 @@ def test_what_the_tree_lacks_is_one_line(tmp_path: Path) -> None:
         read_truth(tmp_path / "nowhere", [FrameKey("", 4)])
 
 
-def test_a_box_counts_by_its_own_digits_and_is_judged_by_those_of_stored_ones(tmp_path: Path) -> None:
-    """A truck of 2.9 m under a LiDAR at 1.9 m ends at z = 1.0, the border of OpenCOOD's range, give or take 1e-9."""
-    inside = Boxes.from_array([[20.0, 0.1, -0.45 - 1e-9, 8.0, 2.5, 2.9, 0.0]])
-    outside = Boxes.from_array([[20.0, 0.1, -0.45 + 1e-9, 8.0, 2.5, 2.9, 0.0]])
-    counted = [
-        select(PROTOCOLS["opencood"], Detections.zeros(), replace(Truth.of(boxes), rounds=True)).truth
-        for boxes in (inside, outside)
-    ]
-    assert [len(boxes) for boxes in counted] == [1, 0]
-    assert np.array_equal(counted[0].array, inside.array.astype(np.float32))
+def _in_opencoods_range(row: list[float]) -> bool:
+    """Whether all 8 corners of a box are in the range, z included, corners by torch in float32.
+
+    After the description of `mask_boxes_outside_range_numpy` and `boxes_to_corners_3d` in OpenCOOD's box_utils.py.
+    """
+    x, y, z, length, width, height, yaw = torch.tensor(row, dtype=torch.float32)
+    signs = torch.tensor([[a, b, c] for a in (1.0, -1.0) for b in (1.0, -1.0) for c in (1.0, -1.0)]) / 2
+    turn = torch.stack([yaw.cos(), yaw.sin(), -yaw.sin(), yaw.cos()]).reshape(2, 2)
+    local = signs * torch.stack([length, width, height])
+    corners = torch.cat([local[:, :2] @ turn, local[:, 2:]], dim=1) + torch.stack([x, y, z])
+    low, high = torch.tensor([-140.0, -40.0, -3.0]), torch.tensor([140.0, 40.0, 1.0])
+    return bool(((corners >= low) & (corners <= high)).all())
+
+
+def test_a_box_at_the_border_counts_as_in_opencood_and_is_judged_by_the_digits_of_stored_ones(tmp_path: Path) -> None:
+    """A truck of 2.9 m under a LiDAR at 1.9 m ends at z = 1.0, the border of OpenCOOD's range, give or take a rounding."""
+    counted = []
+    for off in (-1e-9, -1e-16, 0.0, 1e-16, 1e-9, 1e-7):
+        row = [20.0, 0.1, -0.45 + off, 8.0, 2.5, 2.9, 0.3]
+        boxes = Boxes.from_array([row])
+        found = select(PROTOCOLS["opencood"], Detections.zeros(), replace(Truth.of(boxes), rounds=True)).truth
+        assert len(found) == _in_opencoods_range(row)
+        assert np.array_equal(found.array, boxes.array.astype(np.float32)[: len(found)])
+        counted.append(len(found))
+    assert counted == [1, 1, 1, 1, 1, 0]
     write_frame(tmp_path / "one", toy_frame(0))
     (truth,) = read_truth(tmp_path, [FrameKey("one", 0)]).values()
     assert np.array_equal(truth.boxes.array, truth_of_frame(open_drive(tmp_path / "one").read(0)).boxes.array)
