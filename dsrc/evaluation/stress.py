@@ -280,7 +280,9 @@ def _made_by(results: Sequence[BenchmarkResult]) -> dict[str, Any]:
 def _write(out: Path, found: Stress, results: Sequence[BenchmarkResult]) -> None:
     """Write `results.json`, `stress.csv`, `stress.md`, `stress.png` and the index of the detections."""
     rows = [{name: value for name, value in asdict(row).items() if name != "cells"} for row in found.rows]
-    content = {"provenance": found.made_by, "rows": rows, "worst": [asdict(one) for one in found.worst]}
+    # Without a detection there is no calibration, with one frame no interval: JSON has no NaN.
+    known = [{name: None if value != value else value for name, value in row.items()} for row in rows]
+    content = {"provenance": found.made_by, "rows": known, "worst": [asdict(one) for one in found.worst]}
     write_file(out / "results.json", json_text(content))  # the manifest first: what lies beside it is ours
     write_file(out / "stress.csv", csv_text(rows, made_by=found.made_by))
     write_file(out / "stress.md", stress_table(found).markdown() + "\n" + worst_table(found).markdown())

@@ -1,9 +1,11 @@
 """A stress test ranks what breaks a detector, names critical severities and worst frames, and fails for CI."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from dsrc.evaluation.evaluate import evaluate_drives
@@ -132,7 +134,7 @@ def test_a_named_corruption_that_the_sweeps_do_not_take_is_refused_before_the_wo
     words = detector if command == "stress" else ["--checkpoint", detector[0], "--data", detector[1]]
     done = dsrc(command, *words, "--out", str(out), "--corruption", "fog", "beam_missing", "--workers", "1")
     assert done.returncode == 2
-    (line,) = [line for line in done.stderr.splitlines() if "error" in line.lower()]
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("dsrc: ")]
     assert "frame 0: agent" in line and "beam_missing: expected points with their rings" in line
     assert not (out / "cells").exists()
 
@@ -142,6 +144,10 @@ def test_a_corruption_of_a_group_that_the_sweeps_do_not_take_is_left_out(
 ) -> None:
     data = kitti_object(world / "ringless")
     given = {"data": data, "corruption": ("paper_six",), "severity": (5,), "frames": 1}
-    kinds = {one.corruption for one in stress(config_of(world, "group", **given)).rows}
+    rows = stress(config_of(world, "group", **given)).rows
+    kinds = {one.corruption for one in rows}
     assert "beam_missing" not in kinds and {"clean", "fog"} <= kinds
     assert "stress: leaves out beam_missing" in caplog.text
+    # One frame has no interval, and what is not known is null.
+    written = json.loads((world / "group" / "results.json").read_text())["rows"]
+    assert all(np.isnan(row.low) for row in rows) and [row["low"] for row in written] == [None] * len(rows)

@@ -43,11 +43,11 @@ Clouds = Literal["pcd", "compact"]
 """Form of the point clouds, and ending of their files: OPV2V's, or a quarter of their bytes for our readers alone."""
 CLOUDS: tuple[Clouds, ...] = get_args(Clouds)
 _MISSING = "missing"
-# Its loader (https://github.com/ucla-mobility/V2X-Real, basedataset.py and pcd_utils.py) has the folders and keys of OPV2V,
-# clouds as x, y, z, intensity in float32, six numbers as pose and a class in `obj_type`.
+# Its loader (https://github.com/ucla-mobility/V2X-Real, basedataset.py and pcd_utils.py) has the folders and keys of
+# OPV2V, clouds as x, y, z, intensity in float32, six numbers as pose and a class in `obj_type`.
 _V2X_REAL = (
-    "annotations with clouds in .bin, as V2X-Real has them, are not read: to which side their y axis points is not published;"
-    " the clouds alone are read as folders of scans"
+    "annotations with clouds in .bin, as V2X-Real has them, are not read: to which side their y axis points is not"
+    " published; the clouds alone are read as folders of scans"
 )
 _AGENT = re.compile(r"-?\d+")
 _STEM = re.compile(r"\d+")

@@ -128,7 +128,7 @@ def _in_opencoods_range(row: list[float]) -> bool:
 
 
 def test_a_box_at_the_border_counts_as_in_opencood_and_is_judged_by_the_digits_of_stored_ones(tmp_path: Path) -> None:
-    """A truck of 2.9 m under a LiDAR at 1.9 m ends at z = 1.0, the border of OpenCOOD's range, give or take a rounding."""
+    """A truck of 2.9 m under a LiDAR at 1.9 m ends at z = 1.0, the border of OpenCOOD's range, by a rounding."""
     counted = []
     for off in (-1e-9, -1e-16, 0.0, 1e-16, 1e-9, 1e-7):
         row = [20.0, 0.1, -0.45 + off, 8.0, 2.5, 2.9, 0.3]

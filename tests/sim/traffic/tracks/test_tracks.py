@@ -1,7 +1,7 @@
 """Track files of others: each format gives the same traffic, in between is interpolated, gaps are named."""
 
 import logging
-import pickle
+import pickle  # noqa: TID251 -- the file that a user has is one
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -126,9 +126,7 @@ def test_what_the_page_of_formats_writes_of_a_scenario_of_scenarionet_is_read(
     scenario = {"tracks": tracks, "length": steps, "metadata": {"ts": TIMES, "coordinate": "metadrive"}}
     (tmp_path / "scenario.pkl").write_bytes(pickle.dumps(scenario))
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(
-        DataError, match="found .pkl; a pickle can run code, docs/formats.md says how to write its arrays"
-    ):
+    with pytest.raises(DataError, match=r"found \.pkl; a pickle can run code, docs/formats.md says how"):
         read_tracks(Path("scenario.pkl"))
     section = (ROOT / "docs" / "formats.md").read_text().split("\n## ScenarioNet\n")[1].split("\n## ")[0]
     (block,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
