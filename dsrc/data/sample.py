@@ -249,7 +249,7 @@ def cloud_of(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: 
     """Return (P, 4) x, y, z, intensity in the ego's frame: without the agent's own body, strictly in range."""
     sweep = frame.agents[row].sweep
     points = transform_points(ego_from_agent, sweep.points)
-    inside = ~_own_body(frame, row)
+    inside = ~own_body(frame, row)
     for axis in range(3):
         # Column by column: a comparison of whole rows takes three times as long.
         place = points[:, axis]
@@ -261,7 +261,7 @@ def cloud_of(frame: Frame, row: int, ego_from_agent: NDArray[np.float64], grid: 
     return cloud
 
 
-def _own_body(frame: Frame, row: int) -> NDArray[np.bool_]:
+def own_body(frame: Frame, row: int) -> NDArray[np.bool_]:
     """Return (P,) whether a point lies on the agent itself: in its true box, for other tools' data in OPV2V's."""
     agent = frame.agents[row]
     points = agent.sweep.points

@@ -1,7 +1,7 @@
 """Augmentation of samples: all clouds and boxes of a sample move together, in the ego LiDAR's frame."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,16 +41,37 @@ def _reach(along: float, across: float, rotation_deg: float) -> float:
     return float(along * np.cos(angle) + across * np.sin(angle))
 
 
-def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.random.Generator) -> Sample:
-    """Drop collaborators, flip, rotate, scale and lift a sample, then crop it to the grid.
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """Change of a sample that augmentation has drawn.
 
-    `ego_from_agent` is unchanged: a mirror image has no pose.
+    Attributes:
+        agents: rows of the agents that stay; None for all.
+        plane: (2, 2) float64 matrix of x and y: mirror images, rotation and scale.
+        scale: factor of sizes in the plane.
+        lift: shift along the vertical axis, m.
+        thin: the student's clouds are thinned.
     """
+
+    agents: tuple[int, ...] | None
+    plane: NDArray[np.float64]
+    scale: float
+    lift: float
+    thin: bool
+
+
+def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.random.Generator) -> Sample:
+    """Drop collaborators, flip, rotate, scale and lift a sample, crop it to the grid, and thin it."""
+    change = draw(len(sample.clouds), augmentation, rng)
+    moved = changed(sample, grid, change)
+    return thinned(moved, rng) if change.thin else moved
+
+
+def draw(agents: int, augmentation: Augmentation, rng: np.random.Generator) -> Change:
+    """Draw the change of a sample of so many agents."""
     # All draws are always made, so that one setting does not change the draws of others.
     drop, mirrors, turn, grow = rng.random(), rng.random(2) < 0.5, rng.uniform(-1, 1), rng.uniform(-1, 1)
-    others = rng.permutation(np.arange(1, len(sample.clouds)))[: rng.integers(len(sample.clouds))]
-    if drop < augmentation.dropout:
-        sample = with_some(sample, [0, *sorted(others.tolist())])
+    others = rng.permutation(np.arange(1, agents))[: rng.integers(agents)]
     signs = np.where(mirrors & augmentation.flip, -1.0, 1.0)
     angle = float(np.radians(augmentation.rotation_deg * turn))
     scale = 1 + augmentation.scale * grow
@@ -60,7 +81,18 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
     thin = rng.random() < augmentation.thinning
     # Of a stream of its own, which leaves the draws of the thinning as they are.
     lift = augmentation.height_m * rng.spawn(1)[0].uniform(-1, 1)
-    moved = replace(
+    return Change((0, *sorted(others.tolist())) if drop < augmentation.dropout else None, plane, scale, lift, thin)
+
+
+def changed(sample: Sample, grid: GridSpec, change: Change) -> Sample:
+    """Change a sample, but for its thinning, and crop it to the grid.
+
+    `ego_from_agent` is unchanged: a mirror image has no pose.
+    """
+    if change.agents is not None:
+        sample = with_some(sample, change.agents)
+    plane, scale, lift = change.plane, change.scale, change.lift
+    return replace(
         sample,
         clouds=tuple(_cloud(cloud, plane, lift, grid) for cloud in sample.clouds),
         other_clouds=tuple(_cloud(cloud, plane, lift, grid) for cloud in sample.other_clouds),
@@ -68,7 +100,6 @@ def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.
         boxes=_boxes(sample.boxes, plane, scale, lift, grid),
         agent_boxes=tuple(_boxes(boxes, plane, scale, lift, grid) for boxes in sample.agent_boxes),
     )
-    return thinned(moved, rng) if thin else moved
 
 
 def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -77,9 +108,14 @@ def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
     Shares differ between agents, as the density of a scene does between views.
     """
     seen = sample.corrupted or sample.clouds
-    shares = rng.uniform(0.1, 1.0, len(seen))
+    shares = draw_shares(len(seen), rng)
     kept = (cloud[rng.random(len(cloud)) < share] for cloud, share in zip(seen, shares, strict=True))
     return replace(sample, corrupted=tuple(kept))
+
+
+def draw_shares(agents: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw the share of each agent's points that thinning keeps."""
+    return rng.uniform(0.1, 1.0, agents)
 
 
 def with_some(sample: Sample, rows: Sequence[int]) -> Sample:

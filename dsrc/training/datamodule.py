@@ -1,5 +1,6 @@
 """Data module of a training: frames, egos, augmentation and their order."""
 
+import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,14 +14,19 @@ from dsrc.data.drives import drive_hashes
 from dsrc.data.sample import Sample
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.settings import ModelSettings
-from dsrc.training.augment import augment, source_grid
+from dsrc.training.augment import source_grid
 from dsrc.training.recipes import Recipe
-from dsrc.training.samples import CorruptionDraw, FrameRef, SampleStore
-from sensors.corruptions import SEVERITIES
+from dsrc.training.resident.batch import ResidentBatches, reason_for_host
+from dsrc.training.resident.plan import Plan, PlanCollate, ResidentSet
+from dsrc.training.resident.store import ResidentPoints, expected_bytes, free_bytes
+from dsrc.training.samples import Draw, FrameRef, SampleStore, TrainingSet
 from sim.streams import Stream, random_generator
 
-Draw = tuple[int, int]
-"""Epoch and number of a frame, which with the seed determine a training sample."""
+LOG = logging.getLogger(__name__)
+RESIDENT = ("cuda",)
+"""Types of devices that keep the points of a training; on CPUs the compiled loops are faster."""
+_SHARE = 0.5
+"""Share of a device's free memory that points may take; networks need the rest."""
 
 
 class EpochSampler(Sampler[Draw]):
@@ -44,34 +50,6 @@ class EpochSampler(Sampler[Draw]):
 
     def __len__(self) -> int:
         return self.count
-
-
-class TrainingSet(Dataset[Sample]):
-    """Training set of augmented samples."""
-
-    def __init__(self, store: SampleStore, frames: list[FrameRef], recipe: Recipe, seed: int) -> None:
-        self.store, self.frames, self.recipe, self.seed = store, frames, recipe, seed
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def __getitem__(self, draw: Draw) -> Sample:
-        epoch, number = draw
-        rng = random_generator(self.seed, Stream.TRAINING_AUGMENTATION, epoch, number)
-        egos = self.store.egos(self.frames[number])
-        choice = int(rng.integers(len(egos)))
-        ego = egos[choice if self.recipe.augmentation.random_ego else 0]
-        sample = self.store.sample(self.frames[number], ego, self._corruption(epoch, number))
-        return augment(sample, self.recipe.model.grid, self.recipe.augmentation, rng)
-
-    def _corruption(self, epoch: int, number: int) -> CorruptionDraw | None:
-        """Draw the corruption of the sensors, independently of all other draws."""
-        choice = self.recipe.augmentation
-        rng = random_generator(self.seed, Stream.TRAINING_CORRUPTION, epoch, number)
-        if rng.random() >= choice.corruption:
-            return None
-        kind = choice.kinds[int(rng.integers(len(choice.kinds)))]
-        return kind, int(rng.choice(SEVERITIES)), int(rng.integers(2**31))
 
 
 class ValidationSet(Dataset[Sample]):
@@ -118,6 +96,7 @@ class DetectionData(pl.LightningDataModule):
         """
         super().__init__()
         self.recipe, self.settings = recipe, settings
+        self._resident: ResidentBatches | None = None
         request = recipe.model.request
         exactly = replace(request, keep_ego_box=request.keep_ego_box or recipe.labels.ego_box)
         grid = source_grid(recipe.model.grid, recipe.augmentation)
@@ -145,14 +124,36 @@ class DetectionData(pl.LightningDataModule):
         device, devices = self._place()
         sampler = EpochSampler(len(self.training), self.training.seed, self.recipe.epoch_frames, device, devices)
         batch_size = self.recipe.batch_size // devices
+        points = None if self.trainer is None else self._on_device(self.trainer.strategy.root_device)
+        dataset: TrainingSet | ResidentSet = self.training
+        collate: Collate | PlanCollate = Collate(self.settings, self.recipe, training=True)
+        if points is not None:
+            self._resident = ResidentBatches(points, self.settings, self.recipe)
+            dataset = ResidentSet(self.training, points.frames, points.points)
+            collate = PlanCollate(self.settings, self.recipe, dataset)
         return DataLoader(
-            self.training,
+            dataset,
             batch_size=batch_size,
             sampler=sampler,
-            collate_fn=Collate(self.settings, self.recipe, training=True),
+            collate_fn=collate,
             drop_last=len(sampler) >= batch_size,
             **_workers(self.recipe.workers),
         )
+
+    def _on_device(self, device: torch.device) -> ResidentPoints | None:
+        """Read the points of the training frames into a GPU's memory; None where they stay with the host."""
+        if device.type not in RESIDENT:
+            return None
+        store, frames = self.training.store, self.training.frames
+        why = reason_for_host(self.recipe, self.settings)
+        needed, free = expected_bytes(store, frames), free_bytes(device)
+        if why is None and needed > _SHARE * free:
+            why = f"their {needed / 1e9:.1f} GB beside {free / 1e9:.1f} GB free"
+        if why is not None:
+            LOG.info("points stay with the host: %s", why)
+            return None
+        LOG.info("points of %d frames go to %s: about %.1f GB", len(frames), device, needed / 1e9)
+        return ResidentPoints(store, frames, device, self.recipe.workers)
 
     def val_dataloader(self) -> DataLoader:
         """Return the validation batches of this device."""
@@ -172,9 +173,14 @@ class DetectionData(pl.LightningDataModule):
         """Return the rank of this process and the number of processes."""
         return (0, 1) if self.trainer is None else (self.trainer.global_rank, self.trainer.world_size)
 
-    def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
-        """Move a batch's tensors, beside what the device computes."""
-        return batch.to(device, non_blocking=True)
+    def transfer_batch_to_device(self, batch: Batch | Plan, device: torch.device, dataloader_idx: int) -> Batch:
+        """Move a batch's tensors, beside what the device computes; make a batch there of a plan."""
+        moved = batch.to(device, non_blocking=True)
+        if isinstance(moved, Batch):
+            return moved
+        if self._resident is None:
+            raise ValueError("a plan is made with resident points")
+        return self._resident(moved)
 
 
 def _workers(count: int) -> dict:

@@ -285,6 +285,7 @@ def concatenated(first: Pillars, second: Pillars) -> Pillars:
         coords=torch.cat([first.coords, second.coords + shift]),
         count=torch.cat([first.count, second.count]),
         clouds=first.clouds + second.clouds,
+        padded=first.padded,
     )
 
 

@@ -28,6 +28,8 @@ class Pillars(Movable):
         coords: (V, 3) int64 cloud, row (y) and column (x) of the pillar.
         count: (V,) int64 points in the pillar, at least 1.
         clouds: N, empty clouds included.
+        padded: the arrays are filled up to a capacity, since the host of a device does not know the numbers: points are
+            followed by zeros in the last pillar, pillars by some of cloud N, row 0 and column 0 without points.
     """
 
     points: Tensor
@@ -35,6 +37,7 @@ class Pillars(Movable):
     coords: Tensor
     count: Tensor
     clouds: int
+    padded: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +50,7 @@ class PillarMap:
         clouds: N.
         height: H.
         width: W.
+        padded: some pillars are of cloud N and no part of the map, see `Pillars`.
     """
 
     features: Tensor
@@ -54,6 +58,7 @@ class PillarMap:
     clouds: int
     height: int
     width: int
+    padded: bool = False
 
     def dense(self, empty: Tensor | None = None) -> Tensor:
         """Return the map with all its cells.
@@ -64,6 +69,10 @@ class PillarMap:
         cloud, row, column = self.coords.unbind(1)
         cell = (cloud * self.height + row) * self.width + column
         shape = self.clouds * self.height * self.width, self.features.shape[1]
+        if self.padded:
+            # The last row takes what is no part of the map.
+            cells = self.features.new_zeros((shape[0] + 1, shape[1])).index_copy_(0, cell, self.features)[:-1]
+            return cells.view(self.clouds, self.height, self.width, -1).permute(0, 3, 1, 2)
         if empty is None:
             cells = self.features.new_zeros(shape)
         else:
@@ -94,13 +103,16 @@ class SlotNorm(nn.BatchNorm1d):
         scale = self.weight * torch.rsqrt(variance + self.eps)
         return scale, self.bias - mean * scale
 
-    def statistics(self, x: Tensor, weight: Tensor, zeros: int) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
+    def statistics(
+        self, x: Tensor, weight: Tensor, zeros: int | Tensor, real: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
         """Return the (C,) mean and variance of `x @ weight.T`: in training of these rows, else the running ones.
 
         Args:
             x: (P, D) rows.
             weight: (C, D) of the linear layer.
             zeros: further rows of zeros to count.
+            real: (P, 1) 1 for rows that count, 0 for rows of zeros that do not; None where all do.
 
         Returns:
             Mean, variance, and in training half of their slopes by the weight: (D,) and (C, D).
@@ -108,13 +120,13 @@ class SlotNorm(nn.BatchNorm1d):
         running_mean, running_variance = self._running()
         if not self.training:
             return running_mean, running_variance, None, None
-        n = len(x) + zeros
-        centre, spread = _moments(x, zeros)
+        centre, spread, n = _moments(x, zeros, real)
         mean, slope = weight @ centre, weight @ spread
         variance = (slope * weight).sum(1)
         momentum = float(self.momentum or 0.0)
         running_mean.lerp_(mean, momentum)
-        running_variance.lerp_(variance * (n / max(n - 1, 1)), momentum)
+        unbiased = n / (n - 1).clamp(min=1) if isinstance(n, Tensor) else n / max(n - 1, 1)
+        running_variance.lerp_(variance * unbiased, momentum)
         return mean, variance, centre, slope
 
     def _running(self) -> tuple[Tensor, Tensor]:
@@ -123,41 +135,52 @@ class SlotNorm(nn.BatchNorm1d):
         return self.running_mean, self.running_var
 
 
-def _moments(x: Tensor, zeros: int) -> tuple[Tensor, Tensor]:
-    """Return the (D,) mean and (D, D) covariance of rows and zero rows; centred first, so that float32 suffices."""
-    n = len(x) + zeros
+def _moments(x: Tensor, zeros: int | Tensor, real: Tensor | None) -> tuple[Tensor, Tensor, int | Tensor]:
+    """Return the (D,) mean and (D, D) covariance of rows and zero rows, and their number.
+
+    Centred first, so that float32 suffices; `real` as in `SlotNorm.statistics`.
+    """
+    n = zeros + (len(x) if real is None else real.sum(dtype=torch.float64))
     mean = x.sum(0, dtype=torch.float64) / n
     centre = mean.to(x.dtype)
-    centred = x - centre
+    centred = x - centre if real is None else (x - centre) * real
     spread = (centred.T @ centred).double()
-    if zeros:
+    if isinstance(zeros, Tensor) or zeros:
         spread += zeros * torch.outer(mean, mean)
-    return centre, (spread / n).to(x.dtype)
+    return centre, (spread / n).to(x.dtype), n
 
 
-def _linear_max(x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int) -> tuple[Tensor, Tensor]:
-    """Return the (P, C) values of a linear layer and their (V, C) maximum per pillar."""
+def _linear_max(x: Tensor, weight: Tensor, pillar: Tensor, n_pillars: int, empty: float) -> tuple[Tensor, Tensor]:
+    """Return the (P, C) values of a linear layer and their (V, C) maximum per pillar, `empty` in one without points."""
     values = x @ weight.T
-    start = values.new_full((n_pillars, len(weight)), -torch.inf)
+    start = values.new_full((n_pillars, len(weight)), empty)
     return values, start.scatter_reduce(0, pillar[:, None].expand_as(values), values, "amax", include_self=False)
 
 
 def _normed_max(
-    x: Tensor, weight: Tensor, norm: SlotNorm, pillar: Tensor, n_pillars: int, zeros: int, padded: Tensor | None
+    x: Tensor,
+    weight: Tensor,
+    norm: SlotNorm,
+    pillar: Tensor,
+    n_pillars: int,
+    zeros: int | Tensor,
+    padded: Tensor | None,
+    real: Tensor | None,
 ) -> tuple[Tensor, tuple[Tensor | None, ...]]:
     """Return the (V, C) maxima of `relu(norm(x @ weight.T))` per pillar, and what their gradient needs.
 
     Args:
         padded: (V, 1) bool pillars with a row of zeros; None for none.
+        real: as in `SlotNorm.statistics`; pillars of no such row get numbers that mean nothing.
     """
-    mean, variance, centre, slope = norm.statistics(x, weight, zeros)
+    mean, variance, centre, slope = norm.statistics(x, weight, zeros, real)
     root = torch.rsqrt(variance + norm.eps)
     scale = norm.weight * root
     shift = norm.bias - mean * scale
     # The norm is monotonic per channel: take the extreme first and normalise V rows instead of P.
     # A scale of 0 counts as positive; ONNX has no copysign.
     sign = torch.sign(scale + 1e-30)
-    values, best = _linear_max(x, weight * sign[:, None], pillar, n_pillars)
+    values, best = _linear_max(x, weight * sign[:, None], pillar, n_pillars, -torch.inf if real is None else 0.0)
     extreme = best * sign
     out, hidden = torch.addcmul(shift, extreme, scale), None
     if padded is not None:
@@ -196,7 +219,7 @@ class _NormedMax(torch.autograd.Function):
             of_variance = of_scale * gamma * root.pow(3)  # minus two of them
             of_weight = torch.addr(of_weight, of_shift * scale, centre, alpha=-1)
             of_weight.addcmul_(of_variance[:, None], slope, value=-1)
-        return None, of_weight, of_scale * root, of_shift, None, None, None, None, None
+        return None, of_weight, of_scale * root, of_shift, *[None] * 6
 
 
 class PillarEncoder(nn.Module):
@@ -234,12 +257,18 @@ class PillarEncoder(nn.Module):
         # The norm's statistics and the points' offsets need single precision, and there is little matrix work.
         with torch.autocast(pillars.points.device.type, enabled=False):
             points = self.augment(pillars)
-            zeros, padded = 0, None
+            zeros: int | Tensor = 0
+            padded = real = None
+            if pillars.padded:
+                real = (pillars.count > 0)[pillars.pillar, None].to(points.dtype)
+                points = points * real
             if self.padded_slots:
                 zeros = n_pillars * self.max_points - points.shape[0]
+                if pillars.padded:
+                    zeros = (pillars.count > 0).sum() * self.max_points - pillars.count.sum()
                 padded = (pillars.count < self.max_points)[:, None]
             weight, norm = self.linear.weight, self.norm
-            parts = norm, pillars.pillar, n_pillars, zeros, padded
+            parts = norm, pillars.pillar, n_pillars, zeros, padded, real
             if torch.is_grad_enabled():
                 return _NormedMax.apply(points, weight, norm.weight, norm.bias, *parts)
             return _normed_max(points, weight, *parts)[0]
@@ -248,7 +277,7 @@ class PillarEncoder(nn.Module):
         """Return (P, D + 6): the points with their offsets to the pillar's mean and centre."""
         xyz, rows = pillars.points[:, :3], pillars.pillar
         total = xyz.new_zeros((pillars.coords.shape[0], 3)).index_add_(0, rows, xyz)
-        mean = total / pillars.count[:, None]
+        mean = total / (pillars.count.clamp(min=1) if pillars.padded else pillars.count)[:, None]
         reference = torch.cat([mean, self.centre(pillars)], dim=1)[rows]
         return torch.cat([pillars.points, xyz.repeat(1, 2) - reference], dim=1)
 
@@ -258,4 +287,8 @@ class PillarEncoder(nn.Module):
 
     def scatter(self, features: Tensor, pillars: Pillars) -> Tensor:
         """Place (V, C) features on the (N, C, H, W) grid."""
-        return PillarMap(features, pillars.coords, pillars.clouds, self.grid.height, self.grid.width).dense()
+        return self.map_of(features, pillars).dense()
+
+    def map_of(self, features: Tensor, pillars: Pillars) -> PillarMap:
+        """Return the map of the (V, C) features of pillars."""
+        return PillarMap(features, pillars.coords, pillars.clouds, self.grid.height, self.grid.width, pillars.padded)

@@ -24,11 +24,13 @@ class SceneVoxels(Movable):
         voxel: (K, 4) int64 sample, z, y, x.
         offset: (K, 3) float32 mean point minus voxel centre, m.
         samples: B.
+        real: (K,) bool voxels that are meant, each once; None for all. The others fill a capacity.
     """
 
     voxel: Tensor
     offset: Tensor
     samples: int
+    real: Tensor | None = None
 
 
 class Reconstruction(nn.Module):
@@ -80,10 +82,11 @@ def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, t
 
     Returns:
         (B, C, h', w') feature; (K,) samples, z, y and x of the voxels in the window, of those outside at its edge; (K,)
-        bool which are inside, None for all. To leave out the others, the host would have to wait for the device.
+        bool which are real and inside, None for all. To leave out the others, the host would have to wait for the
+        device.
     """
     if share == 1:
-        return fused, scene.voxel.unbind(1), None
+        return fused, scene.voxel.unbind(1), scene.real
     sizes = [max(round(size * share), 1) for size in fused.shape[-2:]]
     draws = [torch.randint(whole - size + 1, ()) for whole, size in zip(fused.shape[-2:], sizes, strict=True)]
     (top, left), (height, width) = (int(draw.numpy()) for draw in draws), sizes
@@ -91,7 +94,8 @@ def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, t
     y, x = y - 2 * top, x - 2 * left
     near_y, near_x = y.clamp(0, 2 * height - 1), x.clamp(0, 2 * width - 1)
     cut = fused[..., top : top + height, left : left + width]
-    return cut, (b, z, near_y, near_x), (near_y == y) & (near_x == x)
+    inside = (near_y == y) & (near_x == x)
+    return cut, (b, z, near_y, near_x), inside if scene.real is None else inside & scene.real
 
 
 def reconstruction_losses(

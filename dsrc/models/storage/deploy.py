@@ -229,13 +229,12 @@ class FusedEncoder(nn.Module):
         """Return the (N, C, H, W) feature map; cells without points are zero."""
         with torch.autocast(pillars.points.device.type, enabled=False):
             features = self.features(pillars)
-        grid = self.encoder.grid
-        found = PillarMap(features, pillars.coords, pillars.clouds, grid.height, grid.width)
-        return found.dense() if self.dense else found
+        found = self.encoder.map_of(features, pillars)
+        return found.dense() if self.dense or pillars.padded else found
 
     def features(self, pillars: Pillars) -> Tensor:
         """Return (V, C) features of the pillars."""
-        if pillars.points.device.type != "cpu" or not len(pillars.count):
+        if pillars.points.device.type != "cpu" or pillars.padded or not len(pillars.count):
             return self.encoder.features(pillars)
         arrays = (pillars.points, pillars.count, self.encoder.centre(pillars), self.weight)
         values = torch.from_numpy(pillar_maxima(*(array.numpy() for array in arrays)))

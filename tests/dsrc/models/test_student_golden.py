@@ -54,8 +54,8 @@ class Step:
         return output
 
 
-@pytest.fixture
-def step() -> tuple[Step, dict[str, NDArray], dict]:
+@pytest.fixture(params=[False, True], ids=["exact", "filled up"])
+def step(request: pytest.FixtureRequest) -> tuple[Step, dict[str, NDArray], dict]:
     arrays, notes = golden("dsrc_student_train")
     config = notes["config"]
     settings = settings_of(config)
@@ -81,21 +81,41 @@ def step() -> tuple[Step, dict[str, NDArray], dict]:
     renamed = paint[1][rows].copy()
     renamed[:, 0] = np.array([0, 1, 0, 0, 2])[renamed[:, 0]]
     merged = [_stored_points(arrays, sample) for sample in range(2)]
-    own = [arrays[f"voxel_own/{k}"] for k in ("features", "coords", "num_points")]
+    own = pillars(*(arrays[f"voxel_own/{k}"] for k in ("features", "coords", "num_points")), 3)
+    scene = scene_of(merged, settings)
     return (
         Step(
             nets,
-            pillars(*own, 3),
+            filled_up(own) if request.param else own,
             pillars(paint[0][rows], renamed, paint[2][rows], 3),
             pillars(*paint, 6),
             torch.from_numpy(arrays["eval/object_mask_full"][:, 0]).bool(),
-            scene_of(merged, settings),
+            scene_filled_up(scene) if request.param else scene,
             torch.from_numpy(arrays["label/pos_equal_one"]).bool(),
             torch.from_numpy(arrays["label/targets"]),
         ),
         arrays,
         notes,
     )
+
+
+def filled_up(pillars: Pillars) -> Pillars:
+    """Return pillars as a device has them that does not know their numbers."""
+    nowhere = torch.tensor([pillars.clouds, 0, 0]).repeat(7, 1)
+    return Pillars(
+        points=torch.cat([pillars.points, torch.zeros(50, pillars.points.shape[1])]),
+        pillar=torch.cat([pillars.pillar, len(pillars.count) + torch.arange(50) % 5]),
+        coords=torch.cat([pillars.coords, nowhere]),
+        count=torch.cat([pillars.count, torch.zeros(7, dtype=torch.int64)]),
+        clouds=pillars.clouds,
+        padded=True,
+    )
+
+
+def scene_filled_up(scene: SceneVoxels) -> SceneVoxels:
+    """Return a scene with some of its voxels twice, of which one is meant."""
+    voxel, offset = torch.cat([scene.voxel[:9], scene.voxel]), torch.cat([scene.offset[:9] + 1, scene.offset])
+    return SceneVoxels(voxel, offset, scene.samples, torch.arange(len(voxel)) >= 9)
 
 
 def _stored_points(arrays: dict[str, NDArray], sample: int) -> NDArray:

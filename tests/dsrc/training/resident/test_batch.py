@@ -1,0 +1,157 @@
+"""Batches made of points on a device are those that the host makes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from msgspec.structs import replace
+
+from dsrc.models.detector import Detector
+from dsrc.models.inputs.batch import Batch
+from dsrc.models.inputs.labels import LabelSettings
+from dsrc.models.layers.encoder import Pillars
+from dsrc.models.layers.reconstruction import SceneVoxels
+from dsrc.models.settings import ModelSettings
+from dsrc.training.datamodule import Collate, DetectionData
+from dsrc.training.losses import DistillSettings, total
+from dsrc.training.module import DetectionModule
+from dsrc.training.recipes import Augmentation, Recipe, Stage, of_method
+from dsrc.training.resident.batch import ResidentBatches
+from dsrc.training.resident.plan import PlanCollate, ResidentSet
+from dsrc.training.resident.store import ResidentPoints
+from tests.dsrc.training.drive import write_drive
+from tests.dsrc.training.runs import tiny
+
+ALL = Augmentation(dropout=0.5, thinning=0.6, height_m=0.3)
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("data"), 4) / "made_up"
+
+
+def recipe_of(method: str = "dsrc", **changes: object) -> Recipe:
+    return of_method(tiny(**{"augmentation": ALL, "batch_size": 2, **changes}), method)
+
+
+def both(data: Path, recipe: Recipe, stage: Stage = "student", epoch: int = 1) -> tuple[Batch, Batch]:
+    """Return a batch as the host makes it, and of resident points."""
+    settings = recipe.settings(stage)
+    training = DetectionData(recipe, settings, [data], None, SEED).training
+    draws = [(epoch, number) for number in range(3)]
+    points = ResidentPoints(training.store, training.frames, "cpu")
+    dataset = ResidentSet(training, points.frames, points.points)
+    plan = PlanCollate(settings, recipe, dataset)([dataset[one] for one in draws])
+    host = Collate(settings, recipe, training=True)([training[one] for one in draws])
+    return host, ResidentBatches(points, settings, recipe)(plan)
+
+
+def assert_same_pillars(found: Pillars | None, expected: Pillars | None) -> None:
+    assert (found is None) == (expected is None)
+    if found is None or expected is None:
+        return
+    assert found.padded
+    points, pillars = len(expected.points), len(expected.coords)
+    assert points > 100
+    torch.testing.assert_close(found.points[:points], expected.points, rtol=0, atol=1e-5)
+    for name, count in (("pillar", points), ("coords", pillars), ("count", pillars)):
+        assert torch.equal(getattr(found, name)[:count], getattr(expected, name)), name
+    assert found.clouds == expected.clouds
+    assert not found.count[pillars:].any()
+    assert (found.coords[pillars:, 0] == found.clouds).all()
+    assert not found.points[points:].any()
+    assert (found.count[found.pillar[points:]] == 0).all()
+
+
+def assert_same_scene(found: SceneVoxels | None, expected: SceneVoxels | None) -> None:
+    assert (found is None) == (expected is None)
+    if found is None or expected is None:
+        return
+    assert found.real is not None
+    voxel, offset = found.voxel[found.real], found.offset[found.real]
+    order = np.lexsort(voxel.numpy().T[::-1])
+    torch.testing.assert_close(voxel[order], expected.voxel, rtol=0, atol=0)
+    torch.testing.assert_close(offset[order], expected.offset, rtol=0, atol=1e-6)
+
+
+def assert_same(host: Batch, resident: Batch) -> None:
+    assert (resident.keys, resident.agents) == (host.keys, host.agents)
+    for pillars in ("student", "teacher", "objects", "view"):
+        assert_same_pillars(getattr(resident, pillars), getattr(host, pillars))
+    assert_same_scene(resident.scene, host.scene)
+    assert host.targets is not None
+    assert resident.targets is not None
+    assert host.targets.positive.any()
+    torch.testing.assert_close(resident.targets.positive, host.targets.positive)
+    torch.testing.assert_close(resident.targets.regression, host.targets.regression, rtol=0, atol=1e-6)
+    assert (host.foreground is None) == (resident.foreground is None)
+    if host.foreground is not None and resident.foreground is not None:
+        assert torch.equal(resident.foreground, host.foreground)
+    assert host.roadside is not None
+    assert resident.roadside is not None
+    assert torch.equal(resident.roadside, host.roadside)
+
+
+@pytest.mark.parametrize("method", ["dsrc", "attfuse", "dsrc-alone", "no-collaboration", "early"])
+def test_batches_of_resident_points_are_those_of_the_host(data: Path, method: str) -> None:
+    for epoch in range(2):
+        assert_same(*both(data, recipe_of(method), epoch=epoch))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"augmentation": Augmentation(flip=False, rotation_deg=0.0, scale=0.0, random_ego=False, dropout=0.0)},
+        {"consistency": 1.0},
+        {"labels": LabelSettings(foreground="boxes", max_pillars=60)},
+        {"distill": DistillSettings(teacher_norms="moving")},
+    ],
+)
+def test_settings_of_a_recipe_hold_for_resident_points_too(data: Path, changes: dict[str, object]) -> None:
+    host, resident = both(data, recipe_of(**changes))
+    assert_same(host, resident)
+    assert (host.view is not None) == ("consistency" in changes)
+    assert (host.objects is not None) == ("distill" in changes)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"sdd": False}, {"pcp": False}, {"box_order": "hwl", "padded_slots": True, "max_points": 3}, {"max_agents": 2}],
+)
+@pytest.mark.parametrize("stage", ["teacher", "student"])
+def test_settings_of_a_model_hold_for_resident_points_too(data: Path, stage: Stage, changes: dict[str, object]) -> None:
+    recipe = recipe_of()
+    model: ModelSettings = replace(recipe.model, **changes)
+    assert_same(*both(data, replace(recipe, model=model), stage))
+
+
+def gradients(recipe: Recipe, batch: Batch) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor | None]]:
+    torch.manual_seed(1)
+    teacher = Detector(recipe.settings("teacher"))
+    module = DetectionModule(recipe, Detector(recipe.settings("student")), teacher).train()
+    torch.manual_seed(2)
+    losses = module.losses(batch)
+    module.backward(total(losses.values()))
+    return {name: value.detach() for name, value in losses.items()}, {name: weight.grad for name, weight in module.named_parameters()}
+
+
+@pytest.mark.parametrize("padded_slots", [False, True])
+@pytest.mark.parametrize("window", [1.0, 0.5])
+def test_losses_and_gradients_are_those_of_the_host(
+    data: Path, window: float, padded_slots: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One way to run the teacher: oneDNN's layers take pillars alone.
+    monkeypatch.setattr("dsrc.models.storage.deploy._ONEDNN", False)
+    recipe = recipe_of(reconstruction_window=window)
+    recipe = replace(recipe, model=replace(recipe.model, padded_slots=padded_slots))
+    host, resident = (gradients(recipe, batch) for batch in both(data, recipe))
+    for found, expected in zip(resident, host, strict=True):
+        assert found.keys() == expected.keys()
+        for name, value in expected.items():
+            other = found[name]
+            assert (value is None) == (other is None), name
+            if value is not None and other is not None:
+                assert (other - value).norm() <= 1e-5 * max(1.0, float(value.norm())), name
+    assert any(value is not None and value.abs().max() > 1e-3 for value in host[1].values())
