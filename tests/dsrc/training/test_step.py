@@ -1,16 +1,13 @@
 """A training step: few operations, none that makes the host wait for the device, and gradients that are right."""
 
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import lightning.pytorch as pl
 import pytest
 import torch
 from msgspec.structs import replace
 from torch import Tensor, nn
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from dsrc.data.sample import make_sample
 from dsrc.models.detector import Detector, NetworkOutput
@@ -24,24 +21,8 @@ from dsrc.training.module import DetectionModule, as_laid_out
 from dsrc.training.recipes import of_method, small
 from dsrc.training.train import train
 from tests.dsrc.training.drive import frame, write_drive
+from tests.dsrc.training.operations import Operations
 from tests.dsrc.training.runs import tiny
-
-WAITS = ("aten.nonzero", "aten._local_scalar_dense", "aten.item", "aten.masked_select")
-
-
-class Operations(TorchDispatchMode):
-    """Counts what PyTorch dispatches, the backward pass included."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.count: Counter[str] = Counter()
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        self.count[str(func)] += 1
-        return func(*args, **(kwargs or {}))
-
-    def waits(self) -> list[str]:
-        return [name for name in self.count if name.startswith(WAITS)]
 
 
 class Watch(pl.Callback):

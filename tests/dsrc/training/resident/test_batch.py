@@ -1,5 +1,6 @@
 """Batches made of points on a device are those that the host makes."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -9,18 +10,23 @@ from msgspec.structs import replace
 
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import Batch
-from dsrc.models.inputs.labels import LabelSettings
+from dsrc.models.inputs.labels import LabelSettings, released_labels
 from dsrc.models.layers.encoder import Pillars
 from dsrc.models.layers.reconstruction import SceneVoxels
 from dsrc.models.settings import ModelSettings
+from dsrc.models.storage.checkpoint import load_detector
+from dsrc.training import datamodule
 from dsrc.training.datamodule import Collate, DetectionData
 from dsrc.training.losses import DistillSettings, total
 from dsrc.training.module import DetectionModule
 from dsrc.training.recipes import Augmentation, Recipe, Stage, of_method
-from dsrc.training.resident.batch import ResidentBatches
-from dsrc.training.resident.plan import PlanCollate, ResidentSet
+from dsrc.training.resident.batch import ResidentBatches, reason_for_host
+from dsrc.training.resident.plan import Plan, PlanCollate, ResidentSet
 from dsrc.training.resident.store import ResidentPoints
+from dsrc.training.samples import TrainingSet
+from dsrc.training.train import train
 from tests.dsrc.training.drive import write_drive
+from tests.dsrc.training.operations import Operations
 from tests.dsrc.training.runs import tiny
 
 ALL = Augmentation(dropout=0.5, thinning=0.6, height_m=0.3)
@@ -40,12 +46,18 @@ def both(data: Path, recipe: Recipe, stage: Stage = "student", epoch: int = 1) -
     """Return a batch as the host makes it, and of resident points."""
     settings = recipe.settings(stage)
     training = DetectionData(recipe, settings, [data], None, SEED).training
-    draws = [(epoch, number) for number in range(3)]
+    host = Collate(settings, recipe, training=True)([training[epoch, number] for number in range(3)])
+    plan, points = planned(training, recipe, settings, epoch)
+    return host, ResidentBatches(points, settings, recipe)(plan)
+
+
+def planned(
+    training: TrainingSet, recipe: Recipe, settings: ModelSettings, epoch: int = 1
+) -> tuple[Plan, ResidentPoints]:
+    """Return the plan of a batch and its points."""
     points = ResidentPoints(training.store, training.frames, "cpu")
     dataset = ResidentSet(training, points.frames, points.points)
-    plan = PlanCollate(settings, recipe, dataset)([dataset[one] for one in draws])
-    host = Collate(settings, recipe, training=True)([training[one] for one in draws])
-    return host, ResidentBatches(points, settings, recipe)(plan)
+    return PlanCollate(settings, recipe, dataset)([dataset[epoch, number] for number in range(3)]), points
 
 
 def assert_same_pillars(found: Pillars | None, expected: Pillars | None) -> None:
@@ -127,14 +139,19 @@ def test_settings_of_a_model_hold_for_resident_points_too(data: Path, stage: Sta
     assert_same(*both(data, replace(recipe, model=model), stage))
 
 
-def gradients(recipe: Recipe, batch: Batch) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor | None]]:
+def module_of(recipe: Recipe) -> DetectionModule:
     torch.manual_seed(1)
-    teacher = Detector(recipe.settings("teacher"))
-    module = DetectionModule(recipe, Detector(recipe.settings("student")), teacher).train()
+    return DetectionModule(recipe, Detector(recipe.settings("student")), Detector(recipe.settings("teacher"))).train()
+
+
+def gradients(recipe: Recipe, batch: Batch) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor | None]]:
+    module = module_of(recipe)
     torch.manual_seed(2)
     losses = module.losses(batch)
     module.backward(total(losses.values()))
-    return {name: value.detach() for name, value in losses.items()}, {name: weight.grad for name, weight in module.named_parameters()}
+    return {name: value.detach() for name, value in losses.items()}, {
+        name: weight.grad for name, weight in module.named_parameters()
+    }
 
 
 @pytest.mark.parametrize("padded_slots", [False, True])
@@ -155,3 +172,84 @@ def test_losses_and_gradients_are_those_of_the_host(
             if value is not None and other is not None:
                 assert (other - value).norm() <= 1e-5 * max(1.0, float(value.norm())), name
     assert any(value is not None and value.abs().max() > 1e-3 for value in host[1].values())
+
+
+def test_no_step_waits_for_the_device(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dsrc.models.storage.deploy._ONEDNN", False)
+    recipe = recipe_of(reconstruction_window=0.5, consistency=1.0)
+    settings = recipe.settings("student")
+    plan, points = planned(DetectionData(recipe, settings, [data], None, SEED).training, recipe, settings)
+    make, module = ResidentBatches(points, settings, recipe), module_of(recipe)
+    module.losses(make(plan))  # the first step prepares the teacher
+    with Operations() as operations:
+        module.backward(total(module.losses(make(plan)).values()))
+    assert operations.count.total() > 300
+    assert not operations.waits()
+
+
+def test_a_step_takes_place_on_a_device_that_has_no_numbers(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PyTorch's device `meta` knows shapes alone.
+
+    There no tensor can be looked at or copied to the host, no shape depends on data, and no tensor of the host can take
+    part.
+    """
+    monkeypatch.setattr("dsrc.models.storage.deploy._ONEDNN", False)
+    # Of all devices this one alone has no automatic precision.
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
+    monkeypatch.setattr(torch, "is_autocast_enabled", lambda *_: False)
+    recipe = recipe_of(reconstruction_window=0.5, consistency=1.0)
+    settings = recipe.settings("student")
+    plan, points = planned(DetectionData(recipe, settings, [data], None, SEED).training, recipe, settings)
+    assert plan.draws is not None
+    points.points, points.device = [part.to("meta") for part in points.points], torch.device("meta")
+    batch = ResidentBatches(points, settings, recipe)(plan.to("meta"))
+    assert batch.view is not None
+    assert batch.view.points.is_meta
+    module = module_of(recipe).to("meta")
+    losses = module.losses(batch)
+    assert {"cls", "reg", "dae", "daf", "dap", "rec_mask", "rec_offset", "consistency"} <= losses.keys()
+    module.backward(total(losses.values()))
+    assert all(weight.grad is None or weight.grad.is_meta for weight in module.parameters())
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, None),
+        ({"augmentation": Augmentation(corruption=0.1)}, "augmentation.corruption"),
+        ({"labels": released_labels()}, "labels.inside"),
+        ({"fusion": "late"}, "fusion"),
+    ],
+)
+def test_some_settings_keep_points_with_the_host(changes: dict[str, object], why: str | None) -> None:
+    recipe = recipe_of("late" if "fusion" in changes else "dsrc", **{k: v for k, v in changes.items() if k != "fusion"})
+    assert reason_for_host(recipe, recipe.settings("student")) == why
+
+
+def test_a_training_with_resident_points_ends_with_the_weights_of_the_host(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    recipe = recipe_of(epochs=2, validate_every=2, validation_share=0.3, half=False)
+    expected = load_detector(train(recipe, data.parent, tmp_path / "host", "plain")).state_dict()
+    made: list[Batch] = []
+    call = ResidentBatches.__call__
+    monkeypatch.setattr(ResidentBatches, "__call__", lambda self, plan: made.append(call(self, plan)) or made[-1])
+    monkeypatch.setattr(datamodule, "RESIDENT", ("cpu",))
+    caplog.set_level("INFO", "dsrc.training.datamodule")
+    found = load_detector(train(recipe, data.parent, tmp_path / "resident", "plain")).state_dict()
+    assert len(made) == 2
+    assert "points of 3 frames go to cpu" in caplog.text
+    for name, value in expected.items():
+        torch.testing.assert_close(found[name], value, rtol=0, atol=1e-4, msg=name)
+
+
+def test_points_that_do_not_fit_stay_with_the_host(
+    data: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    recipe = recipe_of()
+    loaders = DetectionData(recipe, recipe.model, [data], None, SEED)
+    monkeypatch.setattr(datamodule, "RESIDENT", ("cpu",))
+    monkeypatch.setattr(datamodule, "free_bytes", lambda _: 200_000)
+    caplog.set_level("INFO", "dsrc.training.datamodule")
+    assert loaders._on_device(torch.device("cpu")) is None
+    assert "points stay with the host: their 0.0 GB beside 0.0 GB free" in caplog.text
