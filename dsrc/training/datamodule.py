@@ -150,7 +150,7 @@ class DetectionData(pl.LightningDataModule):
         if why is None and needed > _SHARE * free:
             why = f"their {needed / 1e9:.1f} GB beside {free / 1e9:.1f} GB free"
         if why is not None:
-            LOG.info("points stay with the host: %s", why)
+            LOG.warning("points stay with the host, which takes longer: %s", why)
             return None
         LOG.info("points of %d frames go to %s: about %.1f GB", len(frames), device, needed / 1e9)
         return ResidentPoints(store, frames, device, self.recipe.workers)

@@ -252,4 +252,4 @@ def test_points_that_do_not_fit_stay_with_the_host(
     monkeypatch.setattr(datamodule, "free_bytes", lambda _: 200_000)
     caplog.set_level("INFO", "dsrc.training.datamodule")
     assert loaders._on_device(torch.device("cpu")) is None
-    assert "points stay with the host: their 0.0 GB beside 0.0 GB free" in caplog.text
+    assert "points stay with the host, which takes longer: their 0.0 GB beside 0.0 GB free" in caplog.text
