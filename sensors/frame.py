@@ -106,8 +106,10 @@ class Frame:
             the object alone.
         sight: (A, A) int8 `sim.radio.Obstruction` between the agents' antennas; -1 where unknown.
         region: where the ground truth is complete, world frame; None for everywhere.
+        tilt: (N, 2) float64 pitch and roll of the objects' bodies, rad, as `sim.traffic.base.Actors` has them: the
+            boxes of `truth` are upright all the same; 0 where unknown.
 
-    The last six may be left out: unknown, and everywhere.
+    The last seven may be left out: unknown, and everywhere.
     """
 
     index: int
@@ -122,6 +124,7 @@ class Frame:
     visible_fraction: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     sight: NDArray[np.int8] = field(default_factory=lambda: np.zeros((0, 0), np.int8))
     region: Region | None = None
+    tilt: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         agents, n = len(self.agents), len(self.truth)
@@ -131,6 +134,7 @@ class Frame:
             "lane": ("",) * n,
             "visible_fraction": np.full((agents, n), np.nan, np.float32),
             "sight": np.full((agents, agents), -1, np.int8),
+            "tilt": np.zeros((n, 2)),
         }
         for name, value in unknown.items():
             if np.size(getattr(self, name)) == 0:
@@ -143,6 +147,7 @@ class Frame:
             "lane": (n,),
             "visible_fraction": (agents, n),
             "sight": (agents, agents),
+            "tilt": (n, 2),
         }
         for name, shape in shapes.items():
             found = np.shape(getattr(self, name))

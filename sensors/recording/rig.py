@@ -118,6 +118,8 @@ class Rig:
             acceleration=now.acceleration[near],
             signals=now.signals[near],
             lane=tuple(now.lane[row] for row in np.flatnonzero(near)),
+            # Drives of level worlds keep the bytes that they had before boxes had a tilt.
+            tilt=np.column_stack([now.pitch, now.roll])[near] if self.scenario.uneven else np.zeros((0, 2)),
             visible_fraction=(
                 visible_fraction(scene, ordered_sensors, truth.object_id) if self._visibility else unmeasured
             ),

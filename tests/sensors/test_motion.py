@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,3 +50,12 @@ def test_no_actors_make_no_paths() -> None:
 def test_a_path_of_less_than_two_ascending_times_is_refused(times: list[float]) -> None:
     with pytest.raises(DataError, match=f"path: time_s: expected at least two ascending times, found {len(times)}: "):
         Path.through(times, np.tile(np.eye(4), (len(times), 1, 1)))
+
+
+def test_a_body_rolls_as_it_pitches_and_its_sensor_with_it() -> None:
+    now = replace(cars([[1, 2, 0.3]], time_s=1.0), pitch=np.array([0.05]), roll=np.array([-0.03]))
+    before = replace(cars([[1, 2, 0.3]], time_s=0.9), roll=np.array([0.01]))
+    paths = actor_paths(now, before)
+    np.testing.assert_allclose(paths.at(np.array([1.0]))[:, 0], now.world_from_body(), atol=1e-12)
+    yaw, pitch, roll = pose_angles(paths.at(np.array([0.95]))[0, 0])
+    np.testing.assert_allclose([yaw, pitch, roll], [0.3, 0.025, -0.01], atol=1e-12)

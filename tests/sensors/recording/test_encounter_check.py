@@ -1,5 +1,6 @@
 """The proof by rays: every encounter hides its conflict actor from the ego in time, and its controls do not."""
 
+import msgspec
 import pytest
 
 from sensors.recording import encounter_check
@@ -42,6 +43,22 @@ def test_the_proof_holds(kind: str, seed: int) -> None:
     assert LATENCY_S < proof.critical_ttc_s < 3.0
     assert sum(found.rejected.values()) == found.scenario.conflict.draw
     assert found.scenario.agents.named[0] == "ego"
+
+
+@pytest.mark.parametrize("seed", [SEED, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "ima_building",
+        "ped_dartout",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("lta_truck", "eebl_chain")),
+    ],
+)
+def test_the_proof_holds_on_uneven_ground(kind: str, seed: int) -> None:
+    found = find_encounter(msgspec.structs.replace(encounter(kind), world=2), seed)
+    assert found.scenario.uneven and found.proof.holds and found.proof.hit == "conflict"
+    assert found.proof.ego_points < UNSEEN_POINTS
+    assert found.proof.helper_ttc_s >= found.proof.critical_ttc_s + AHEAD_S
 
 
 @pytest.mark.parametrize("kind", ENCOUNTERS)

@@ -72,6 +72,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             in `velocity` too.
         sight: line of sight from the agent to each of `agents`, see `Frame.sight`; empty for unknown ones.
         part: see `Frame.region`; left out for everywhere.
+        tilt: as in `Frame`; left out where no body tilts.
     """
 
     version: int
@@ -99,6 +100,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     visible_fraction: list[Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None] = []
     sight: list[Annotated[int, msgspec.Meta(ge=-1, le=2)]] = []
     part: Part | msgspec.UnsetType = msgspec.UNSET
+    tilt: list[tuple[float, float]] | msgspec.UnsetType = msgspec.UNSET
 
     def lidar_path(self) -> LidarPath | None:
         """Return the path of the LiDAR exactly as it was written."""
@@ -126,7 +128,7 @@ def encode_agent(frame: Frame, row: int, connected_vehicles: bool, plan: NDArray
     """
     agent = frame.agents[row]
     numbers = (frame.truth.array, agent.world_from_body, agent.sweep.world_from_lidar, _knots(agent.sweep.path))
-    finite = all(np.isfinite(n).all() for n in numbers)
+    finite = all(np.isfinite(n).all() for n in (*numbers, frame.tilt))
     if not finite or np.isinf(frame.velocity).any() or np.isinf(frame.acceleration).any():
         raise ValueError(f"frame {frame.index}: a box, velocity or pose is not finite")
     body = carla_from_matrix(agent.world_from_body).tolist()
@@ -174,6 +176,7 @@ def _record(frame: Frame, row: int, check: int) -> Record:
         visible_fraction=[None if text == "nan" else float(text) for text in map(str, frame.visible_fraction[row])],
         sight=frame.sight[row].tolist(),
         part=msgspec.UNSET if frame.region is None else Part.of(frame.region),
+        tilt=[(pitch, roll) for pitch, roll in frame.tilt.tolist()] if frame.tilt.any() else msgspec.UNSET,
     )
 
 
@@ -195,17 +198,19 @@ def _vehicles(frame: Frame, row: int, connected_vehicles: bool) -> str:
     listed = truth.is_vehicle & (frame.points_on[row] >= 1) & (truth.object_id != frame.agents[row].agent_id)
     if not connected_vehicles:
         listed &= ~np.isin(truth.object_id, [a.agent_id for a in frame.agents])
-    numbers = np.column_stack([truth.array, np.hypot(frame.velocity[:, 0], frame.velocity[:, 1])])[listed]
+    speed = np.hypot(frame.velocity[:, 0], frame.velocity[:, 1])
+    numbers = np.column_stack([truth.array, speed, frame.tilt])[listed]
     entries = [_vehicle(i, one.tobytes()) for i, one in zip(truth.object_id[listed].tolist(), numbers, strict=True)]
     return "vehicles:\n" + "".join(entries) if entries else "vehicles: {}\n"
 
 
 @lru_cache(maxsize=1024)
 def _vehicle(object_id: int, numbers: bytes) -> str:
-    """Return the entry of a vehicle, the same for all agents, by the bits of its box and its speed, NaN for none."""
-    x, y, z, length, width, height, yaw, speed = np.frombuffer(numbers, np.float64).tolist()
+    """Return the entry of a vehicle, the same for all agents, by the bits of box, speed (NaN for none) and tilt."""
+    x, y, z, length, width, height, yaw, speed, pitch, roll = np.frombuffer(numbers, np.float64).tolist()
     entry: dict[str, Any] = {
-        "angle": [0.0, -math.degrees(yaw), 0.0],
+        # CARLA's roll, yaw and pitch; a level body keeps the zeros without a sign.
+        "angle": [math.degrees(roll), -math.degrees(yaw), 0.0 if pitch == 0.0 else -math.degrees(pitch)],
         "center": [0.0, 0.0, 0.5 * height],
         "extent": [0.5 * length, 0.5 * width, 0.5 * height],
         "location": [x, -y, z - 0.5 * height],
@@ -261,6 +266,8 @@ def _checked(path: Path, record: Record) -> Record:
     for name in ("acceleration", "signals", "lane", "visible_fraction"):
         if len(getattr(record, name)) not in (0, n):
             raise DataError(complaint(path, f"testbed.{name}", f"{n} rows or none", len(getattr(record, name))))
+    if record.tilt is not msgspec.UNSET and len(record.tilt) != n:
+        raise DataError(complaint(path, "testbed.tilt", f"{n} rows or none", len(record.tilt)))
     if len(record.sight) not in (0, len(record.agents)):
         raise DataError(complaint(path, "testbed.sight", f"{len(record.agents)} agents or none", len(record.sight)))
     for name in ("world_from_body", "world_from_lidar"):

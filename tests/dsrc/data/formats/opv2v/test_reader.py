@@ -23,7 +23,7 @@ from sensors.frame import Frame
 from sensors.sweep import MOTIONS, Motion
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
-from sim.geometry import matrix_from_carla, transform_points
+from sim.geometry import matrix_from_carla, pose_matrix, transform_points
 from tests.dsrc.data import goldens
 from tests.dsrc.data.toy import same_frames, toy_frame
 
@@ -100,6 +100,20 @@ def test_the_yaml_says_in_carlas_words_what_the_frame_holds(drive: Path) -> None
     assert np.allclose(2 * np.array(truck["extent"]), frame.truth.size[row], atol=1e-9)
     assert truck["angle"] == pytest.approx([0.0, -math.degrees(frame.truth.yaw[row]), 0.0])
     assert truck["speed"] == pytest.approx(3.6 * np.hypot(*frame.velocity[row]))
+
+
+def test_the_yaml_of_a_vehicle_has_the_pose_of_its_tilted_body(tmp_path: Path) -> None:
+    level = toy_frame(0)
+    tilt = np.random.default_rng(0).uniform(-0.1, 0.1, (len(level.truth), 2))
+    write_frame(tmp_path / "d", replace(level, tilt=tilt))
+    read = DriveReader(tmp_path / "d").read(0)
+    np.testing.assert_array_equal(read.tilt, tilt)
+    assert same_frames(replace(read, tilt=level.tilt), level)
+    row = level.truth.object_id.tolist().index(1001)
+    truck = plain(tmp_path / "d" / "1000" / "000000.yaml")["vehicles"][1001]
+    pose = matrix_from_carla([*np.add(truck["location"], truck["center"]), *truck["angle"]])
+    expected = pose_matrix(level.truth.center[row], level.truth.yaw[row], *tilt[row])
+    np.testing.assert_allclose(pose, expected, atol=1e-9)
 
 
 def test_vehicles_are_those_the_agent_has_a_point_on_without_itself(drive: Path) -> None:
