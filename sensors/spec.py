@@ -80,8 +80,8 @@ class LidarSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         intensity_law: `reflectivity`: calibrated, independent of range in clear air; `distance`: exp(-attenuation *
             range) whatever was hit, as CARLA's; `power`: received power, as 1/range^2, 1 for a white target at 10 m.
         attenuation: of the `distance` law, 1/m.
-        blocked_deg: sectors that the carrier hides, as fixed to a roof: (azimuth from, azimuth to, counter-clockwise from
-            straight ahead, elevation); beams below the elevation return nothing there. Unset: none.
+        blocked_deg: sectors that the carrier hides: (azimuth from, azimuth to, counter-clockwise from straight ahead,
+            elevation); beams below the elevation return nothing there. Unset: none.
         intensity_curve: (intensity by the law, intensity reported) knots from 0 on, linear in between: the scale of the
             sensor itself, fitted to its sweeps. Beyond 1 lie retroreflectors. Unset: the law's, cut off at 1.
         intensity_fade_m: range from which on the reported intensity falls, and that at which it is 0; unset: none.
