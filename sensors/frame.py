@@ -59,16 +59,20 @@ class Region:
     ignored_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
     ignored: Boxes = field(default_factory=Boxes.zeros)
 
-    def counts(self, boxes: Boxes) -> NDArray[np.bool_]:
-        """Return (N,) whether boxes are judged: by their centres, in the image and in nothing that is ignored."""
+    def counts(self, boxes: Boxes, margin_px: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.bool_]:
+        """Return (N,) whether boxes are judged: by their centres, in the image and in nothing that is ignored.
+
+        Args:
+            margin_px: across and up, by which the ignored parts of the image are grown.
+        """
         judged = np.ones(len(boxes), bool)
         if self.projection is not None:
             seen = np.concatenate([boxes.center, np.ones((len(boxes), 1))], axis=1) @ self.projection.T
             ahead = seen[:, 2] > 0.0
             px = seen[:, :2] / np.where(ahead, seen[:, 2], 1.0)[:, None]
             judged = ahead & np.all((px >= 0.0) & (px <= self.image_size), axis=1)
-            for left, top, right, bottom in self.ignored_px:
-                judged &= ~np.all((px >= [left, top]) & (px <= [right, bottom]), axis=1)
+            for part in self.ignored_px:
+                judged &= ~np.all((px >= part[:2] - margin_px) & (px <= part[2:] + margin_px), axis=1)
         for row in range(len(self.ignored)):
             one = self.ignored[row : row + 1]
             # The rule is the same from both sides: a box within another, seen from above.

@@ -19,6 +19,7 @@ class Detect(Detection, frozen=True, kw_only=True):
     Examples:
         dsrc detect data/test --checkpoint detector.pt --out boxes
         dsrc detect data/test --checkpoint my_module:Detector --height auto --format kitti --out boxes
+        dsrc detect real --checkpoint detector.pt --height auto --score --out boxes
     """
 
     pool: Pool = Pool()
@@ -32,6 +33,16 @@ class Detect(Detection, frozen=True, kw_only=True):
         check_apart(self.out, self.data)
         with progress(f"detect in {self.data}") as report:
             row, places = detect_drives(self, self.pool, report)
+        if self.score:
+            from rich.console import Console
+
+            from dsrc.evaluation.scoring.sources import score_sources, source_table, write_sources
+            from dsrc.evaluation.scoring.write import BOXES
+
+            with progress("score") as report:
+                scores = score_sources(self.out / BOXES, self.data, report)
+            write_sources(self.out, scores)
+            Console(highlight=False).print(source_table(scores))
         made(places, f"{row.detections} boxes in {row.frames} frames", "view", self.out)
 
 

@@ -101,6 +101,8 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True):
         height: ground under the clouds: recorded leaves them as they are, auto levels them by a ground fitted to each
             cloud, and a number is the height of the LiDAR above flat ground, m.
         ego_only: give the ego's cloud alone.
+        score: score the boxes by the drives' ground truth, all together and by source: AP, recall, false boxes a frame,
+            error of height; a table and sources.json.
         frames: frames to detect in, evenly spread; default: all.
         engine: execution of the network, see dsrc evaluate.
         device: device of the network.
@@ -112,6 +114,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True):
     format: tuple[Literal["kitti", "opencood"], ...] = ()
     height: Height = "recorded"
     ego_only: bool = False
+    score: bool = False
     frames: int | None = None
     engine: Engine = "fused"
     device: Device = "cpu"

@@ -152,7 +152,7 @@ def _as_reported(spec: LidarSpec, returns: Returns) -> Returns:
     """Return the points that the carrier does not hide, with intensities on the sensor's own scale."""
     if spec.blocked_deg is not msgspec.UNSET:
         seen = ~spec.blocked[returns.ring, returns.column]
-        returns = Returns(*(column[seen] for column in returns))
+        returns = Returns._make(column[seen] for column in returns)
     if spec.intensity_curve is msgspec.UNSET and spec.intensity_fade_m is msgspec.UNSET:
         return returns
     full = 1.0 if spec.intensity_curve is msgspec.UNSET else spec.intensity_curve[-1][0]

@@ -1,7 +1,7 @@
 """Sets of detections, and the true boxes of their frames before a protocol chooses among them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -40,6 +40,8 @@ class Truth:
         image: of each box in the camera's image; None if unknown.
         rounds: boxes are judged as float32, as stored ones are; which of them count is decided before.
         region: where boxes are judged, true ones and detections; None for everywhere.
+        points: (N,) the ego's points on each; None if unknown.
+        others: vehicles that are left out: without any point, or out of the region.
     """
 
     boxes: Boxes
@@ -48,6 +50,8 @@ class Truth:
     image: InImage | None = None
     rounds: bool = False
     region: Region | None = None
+    points: NDArray[np.int32] | None = None
+    others: Boxes = field(default_factory=Boxes.zeros)
 
     def judged(self, rows: NDArray[np.bool_] | slice) -> Boxes:
         """Return the boxes of some rows as they are judged."""

@@ -47,7 +47,15 @@ def truth_of_frame(frame: Frame, ego_id: int | None = None, drive: str = "") -> 
     kept = boxes.is_vehicle & np.isfinite(reach)
     if region is not None:
         kept &= region.counts(boxes)
-    return Truth(boxes[kept], boxes.object_id[kept] == ego_id, reach[kept], region=region)
+    own = boxes.object_id == ego_id
+    return Truth(
+        boxes=boxes[kept],
+        own=own[kept],
+        reach_m=reach[kept],
+        region=region,
+        points=frame.points_on[ego][kept],
+        others=boxes[boxes.is_vehicle & ~kept & ~own],
+    )
 
 
 def read_truth(tree: Path, keys: Iterable[FrameKey], progress: Progress | None = None) -> dict[FrameKey, Truth]:
