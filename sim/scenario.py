@@ -49,7 +49,10 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         signals: programs that replace those of the network.
         round: rebuild the junctions of a shipped network or a file and round the bends of its streets, so that no
             vehicle turns on the spot or races through a junction; false keeps the network as it is.
-        front_gardens: share of town street fronts with a generated hedge or fence, 0 to 1.
+        front_gardens: share of town street fronts with a generated hedge or fence, 0 to 1; of a world of version 1.
+        beside: of a world of version 2, times the usual density of plants, fences, posts and other things beside the
+            roads (`sim.world.beside.kinds`), 0 to 2; 0 leaves masts, traffic lights, lamps and what a map tells. Unset
+            it is 1 and does not appear among the settings of a drive.
     """
 
     shipped: str = ""
@@ -63,6 +66,7 @@ class NetworkSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     signals: tuple[SignalProgram, ...] = ()
     round: bool = True
     front_gardens: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    beside: Annotated[float, Meta(ge=0.0, le=2.0)] | msgspec.UnsetType = msgspec.UNSET
 
 
 class DemandSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -42,6 +42,7 @@ class Stream(Enum):
     FACADES = "list", None, "the seed is the number of buildings"
     RELIEF = "child", 7, ""
     ROUGHNESS = "child", 8, ""
+    BESIDE = "child", 9, "purpose, of what stands beside the roads"
     # Recording
     AGENT_SELECTION = "child", 0, ""
     LIDAR_NOISE = "child", 1, "frame, agent"

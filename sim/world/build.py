@@ -11,6 +11,7 @@ from sim.roads.polygons import has_buildings
 from sim.roads.tools import sumo_tools
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
+from sim.world.beside.build import Site, beside, density_of
 from sim.world.buildings.footprints import outlined
 from sim.world.buildings.houses import Buildings, blocks, city_mesh, guard_rails
 from sim.world.encounter_site import encounter_site
@@ -45,15 +46,19 @@ def build_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
     rng = random_generator(seed, Stream.FURNITURE)
     polygons = resolve_polygons(scenario)
     map_objects = MapObjects() if polygons is None else read_map_objects(polygons)
-    things = furniture(
-        streets,
-        town.footprint | site.footprint,
-        units,
-        rng,
-        clear=site.clear,
-        map_objects=map_objects,
-        front_gardens=scenario.network.front_gardens,
-    )
+    houses = town.footprint | site.footprint
+    if scenario.uneven:
+        things = beside(Site(streets, houses, town.parts, site.clear, units, map_objects), seed, density_of(scenario))
+    else:
+        things = furniture(
+            streets,
+            houses,
+            units,
+            rng,
+            clear=site.clear,
+            map_objects=map_objects,
+            front_gardens=scenario.network.front_gardens,
+        )
     solid = [*town.parts, *site.parts, guard_rails(streets)]
     return to_mesh(join([*surfaces(streets), *markings(streets), *solid, *things]))
 

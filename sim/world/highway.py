@@ -9,10 +9,12 @@ from sim.mesh.solids import MeshPart, join, strip, to_mesh
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.traffic.highway.roads import LaneNetwork, RoadLane, read_roads
+from sim.world.beside.build import Site, beside, density_of
 from sim.world.buildings.houses import blocks, guard_rails
 from sim.world.furniture.kerbside import furniture
+from sim.world.furniture.map_objects import MapObjects
 from sim.world.roads.markings import LIFT_M, cut_line, dashes, offset
-from sim.world.roads.streets import Lane, Streets
+from sim.world.roads.streets import NOTHING, Lane, Streets
 from sim.world.roads.surfaces import surfaces
 from sim.world.roads.terrain import level_land
 
@@ -42,7 +44,11 @@ def highway_world(scenario: Scenario, seed: int, streets: Streets) -> trimesh.Tr
     roads = read_roads(scenario.network.highway_env)
     units = np.array([unit.xyz_m for unit in scenario.agents.roadside], np.float64).reshape(-1, 3)
     town = blocks(streets, units, random_generator(seed, Stream.BUILDING_BLOCKS), _islands(streets))
-    things = furniture(streets, town.footprint, units, random_generator(seed, Stream.FURNITURE))
+    if scenario.uneven:
+        site = Site(streets, town.footprint, town.parts, NOTHING, units, MapObjects())
+        things = beside(site, seed, density_of(scenario))
+    else:
+        things = furniture(streets, town.footprint, units, random_generator(seed, Stream.FURNITURE))
     return to_mesh(join([*surfaces(streets), *_paint(roads, streets), *town.parts, guard_rails(streets), *things]))
 
 

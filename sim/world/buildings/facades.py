@@ -61,6 +61,22 @@ def wall_rectangles(triangles: Array, footprint: shapely.Geometry) -> tuple[Arra
 
     A wall counts if its triangles fill a rectangle and exactly one of its sides is outside of the footprint.
     """
+    group, walls = wall_groups(triangles)
+    low, high = np.full(len(walls), np.inf), np.full(len(walls), -np.inf)
+    np.minimum.at(low, group, triangles[:, :, 2].min(axis=1))
+    np.maximum.at(high, group, triangles[:, :, 2].max(axis=1))
+    covered = np.zeros(len(walls))
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    np.add.at(covered, group, 0.5 * np.linalg.norm(normal, axis=1))
+    length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
+    filled = np.abs(covered - length * (high - low)) < 0.02 * covered + 0.05
+    walls, outside_right = face_outside(walls, length, footprint)
+    keep = filled & outside_right
+    return walls[keep], low[keep], high[keep]
+
+
+def wall_groups(triangles: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the wall of each of (F, 3, 3) upright triangles, (F,), and the (W, 2, 2) ends of each wall from above."""
     flat = triangles[:, :, :2]
     pairs = np.stack([flat, np.roll(flat, -1, axis=1)], axis=2)
     longest = np.hypot(*np.moveaxis(pairs[:, :, 1] - pairs[:, :, 0], 2, 0)).argmax(axis=1)
@@ -68,21 +84,10 @@ def wall_rectangles(triangles: Array, footprint: shapely.Geometry) -> tuple[Arra
     swap = (ends[:, 0, 0] > ends[:, 1, 0]) | ((ends[:, 0, 0] == ends[:, 1, 0]) & (ends[:, 0, 1] > ends[:, 1, 1]))
     ends[swap] = ends[swap][:, ::-1]
     _, first, group = np.unique(ends.reshape(-1, 4).round(2), axis=0, return_index=True, return_inverse=True)
-    low, high = np.full(len(first), np.inf), np.full(len(first), -np.inf)
-    np.minimum.at(low, group.ravel(), triangles[:, :, 2].min(axis=1))
-    np.maximum.at(high, group.ravel(), triangles[:, :, 2].max(axis=1))
-    covered = np.zeros(len(first))
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    np.add.at(covered, group.ravel(), 0.5 * np.linalg.norm(normal, axis=1))
-    walls = ends[first]
-    length = np.hypot(*(walls[:, 1] - walls[:, 0]).T)
-    filled = np.abs(covered - length * (high - low)) < 0.02 * covered + 0.05
-    walls, outside_right = _face_outside(walls, length, footprint)
-    keep = filled & outside_right
-    return walls[keep], low[keep], high[keep]
+    return group.ravel(), ends[first]
 
 
-def _face_outside(walls: Array, length: Array, footprint: shapely.Geometry) -> tuple[Array, NDArray[np.bool_]]:
+def face_outside(walls: Array, length: Array, footprint: shapely.Geometry) -> tuple[Array, NDArray[np.bool_]]:
     """Return walls oriented with the outside on their right, and the mask of those with exactly one side outside."""
     way = (walls[:, 1] - walls[:, 0]) / np.maximum(length, 1e-9)[:, None]
     middle, aside = walls.mean(axis=1), 0.4 * np.column_stack([way[:, 1], -way[:, 0]])

@@ -95,20 +95,43 @@ def furniture(
     return things if "tree" in map_objects.points else [*things, *_trees(streets, places, rng)]
 
 
-def _of_points(streets: Streets, places: _Places, points: dict[str, Array], rng: np.random.Generator) -> list[MeshPart]:
-    """Return the lamps, poles, bollards and trees of a map, off lanes and houses."""
+def fixtures(
+    streets: Streets, houses: shapely.Geometry, clear: shapely.Geometry, units: Array, points: dict[str, Array]
+) -> tuple[list[MeshPart], list[Array]]:
+    """Return masts of roadside sensors, traffic lights, a map's posts, lamps, and the (2,) positions of all but masts.
+
+    Args:
+        clear: ground without lamps.
+        points: of a map, see `MapObjects`.
+    """
+    places = _Places(streets, houses, units)
+    things = [*(_mast(unit, streets) for unit in units), *_signals(streets, places)]
+    places.footprint = houses | clear
+    shapely.prepare(places.footprint)
+    things += _map_posts(streets, places, points)
+    return things if "lamp" in points else [*things, *_lamps(streets, places)], places.taken
+
+
+def _map_posts(streets: Streets, places: _Places, points: dict[str, Array]) -> list[MeshPart]:
+    """Return the lamps, poles and bollards of a map, off lanes and houses."""
     parts = []
     for xy in points.get("lamp", np.zeros((0, 2))):
         near = shapely.get_coordinates(shapely.shortest_line(shapely.Point(xy), places.road))
         if len(near) and places.free(xy, 0.3, 0.2, 0.5, 2.0, on_walk=True):
             yaw = float(np.arctan2(*(near[1] - near[0])[::-1]))
-            parts.append(move(lamp_post(), _base(streets, xy), yaw))
+            parts.append(move(lamp_post(), base(streets, xy), yaw))
     for kind, (height_m, radius_m) in _POLES.items():
         for xy in points.get(kind, np.zeros((0, 2))):
             if places.free(xy, 0.3, 0.1, 0.3, 1.0, on_walk=True):
-                foot = _base(streets, xy)
+                foot = base(streets, xy)
                 top = [foot[0], foot[1], foot[2] + height_m]
                 parts.append(tube(foot, top, (radius_m, radius_m), "metal", 8))
+    return parts
+
+
+def _of_points(streets: Streets, places: _Places, points: dict[str, Array], rng: np.random.Generator) -> list[MeshPart]:
+    """Return the lamps, poles, bollards and trees of a map, off lanes and houses."""
+    parts = _map_posts(streets, places, points)
     for xy in points.get("tree", np.zeros((0, 2))):
         size = rng.uniform(0.8, 1.25)
         shape = tree(rng, size)
@@ -117,14 +140,14 @@ def _of_points(streets: Streets, places: _Places, points: dict[str, Array], rng:
             over = shapely.dwithin(places.road, shapely.Point(xy), 2.1 * size + 0.3)
             leaves = shape.faces[shape.material == material_index("leaves")]
             tall = _CROWN_OVER_ROAD_M / float(shape.vertices[leaves, 2].min()) if over else 1.0
-            parts.append(move(shape, _base(streets, xy), scale=(1.0, 1.0, max(tall, 1.0))))
+            parts.append(move(shape, base(streets, xy), scale=(1.0, 1.0, max(tall, 1.0))))
     return parts
 
 
 def _gardens(streets: Streets, places: _Places, share: float, rng: np.random.Generator) -> list[MeshPart]:
     """Return seeded hedges, fences and walls in front of houses, away from sight lines at junctions."""
     parts = []
-    for lane, side in _edges(streets):
+    for lane, side in street_edges(streets):
         if lane.speed > TOWN_SPEED_MPS:
             continue
         behind = 0.6 if lane.verge > 0 and side == lane.kerb_side else 3.0
@@ -142,12 +165,13 @@ def _gardens(streets: Streets, places: _Places, share: float, rng: np.random.Gen
     return parts
 
 
-def _base(streets: Streets, xy: Array) -> Array:
+def base(streets: Streets, xy: Array) -> Array:
+    """Return (3,) the ground at a (2,) position."""
     return np.array([xy[0], xy[1], float(streets.height(xy[None])[0])])
 
 
 def _mast(unit: Array, streets: Streets) -> MeshPart:
-    foot = _base(streets, unit[:2])
+    foot = base(streets, unit[:2])
     return tube(foot, foot + np.array([0.0, 0.0, max(unit[2] - 0.25, 0.3)]), (0.09, 0.06), "metal", 8)
 
 
@@ -163,7 +187,7 @@ def _signals(streets: Streets, places: _Places) -> list[MeshPart]:
         for aside, on_walk in (*_BEYOND, (0.4 - lane.verge, True), *_ON_PAVEMENT):
             xy = end + lane.kerb_side * (0.5 * lane.width + lane.verge + aside) * np.array([-way[1], way[0]])
             if places.free(xy, 0.3 if on_walk else 0.6, 0.3 if on_walk else 0.5, 1.0, 1.0, on_walk=on_walk):
-                parts.append(move(traffic_light(), _base(streets, xy), float(np.arctan2(way[1], way[0]))))
+                parts.append(move(traffic_light(), base(streets, xy), float(np.arctan2(way[1], way[0]))))
                 break
     return parts
 
@@ -191,7 +215,7 @@ def sign() -> MeshPart:
 def _lamps(streets: Streets, places: _Places) -> list[MeshPart]:
     """Return lamps, with signs between some of them, along the kerb of each street of a town."""
     parts = []
-    for lane, side in _edges(streets):
+    for lane, side in street_edges(streets):
         if side != lane.kerb_side or lane.speed > TOWN_SPEED_MPS:
             continue
         line = offset(lane.line, side * (0.5 * lane.width + lane.verge + 0.8))
@@ -201,16 +225,16 @@ def _lamps(streets: Streets, places: _Places) -> list[MeshPart]:
                 continue
             yaw = float(np.arctan2(*(ahead - here)[::-1]))
             if number % 2 == 0:
-                parts.append(move(lamp_post(), _base(streets, here), yaw + np.pi))
+                parts.append(move(lamp_post(), base(streets, here), yaw + np.pi))
             elif number % 8 == 1:
-                parts.append(move(sign(), _base(streets, here), yaw))
+                parts.append(move(sign(), base(streets, here), yaw))
     return parts
 
 
 def _trees(streets: Streets, places: _Places, rng: np.random.Generator) -> list[MeshPart]:
     """Return a row of trees along the streets and scattered ones behind it."""
     parts = []
-    for lane, side in _edges(streets):
+    for lane, side in street_edges(streets):
         for row, chance in ((3.4, 0.55), (9.0, 0.35), (16.0, 0.35)):
             line = offset(lane.line, side * (0.5 * lane.width + lane.verge + row))
             for at in np.arange(5.0, _length(line) - 5.0, _TREE_EVERY_M):
@@ -218,7 +242,7 @@ def _trees(streets: Streets, places: _Places, rng: np.random.Generator) -> list[
                 xy = cut_line(line, at, at + 0.5)[0] + shake
                 radius = 2.1 * size
                 if lot < chance and places.free(xy, radius + 0.5, radius + 0.4, 2.0 * radius, _UNIT_CLEAR_M):
-                    parts.append(move(tree(rng, size), _base(streets, xy)))
+                    parts.append(move(tree(rng, size), base(streets, xy)))
     return parts
 
 
@@ -238,7 +262,7 @@ def tree(rng: np.random.Generator, size: float) -> MeshPart:
     return join([trunk, mesh_part(leaves, np.arange(3 * _LEAVES_PER_TREE), "leaves")])
 
 
-def _edges(streets: Streets) -> list[tuple[Lane, float]]:
+def street_edges(streets: Streets) -> list[tuple[Lane, float]]:
     """Return the outer lanes of all streets and the side of the kerb: -1 right, 1 left."""
     lanes = [lane for lane in streets.lanes if lane.kind == "road" and not lane.internal and lane.speed >= 8.0]
     outer = [(lane, lane.kerb_side) for lane in lanes if lane.index == 0]
