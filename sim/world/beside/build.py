@@ -345,5 +345,5 @@ def _map_trees(
         return []
     xy = xy[shapely.contains_xy(ground.frame, *xy.T)]
     lines = shapely.STRtree([edge.line for edge in edges])
-    nearest = lines.nearest(shapely.points(xy)) if len(xy) else np.zeros(0, np.int64)
+    nearest = np.asarray(lines.nearest(shapely.points(xy)), np.int64)
     return _plant(rng, Places(xy, np.zeros(len(xy)), nearest), edges, 0.5, nursery, ground)

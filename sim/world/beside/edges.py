@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from sim.geometry import Array
 from sim.world.beside.kinds import DENSITIES, Density, Kind, kinds_of
@@ -90,7 +91,7 @@ class Places:
 
     xy: Array
     yaw: Array
-    edge: Array
+    edge: NDArray[np.int64]
 
 
 def scatter(

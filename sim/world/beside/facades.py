@@ -100,7 +100,7 @@ def _decorate(rng: np.random.Generator, wall: _Relief, room: float, room_low: fl
     wall.box((0.0, wall.length), (0.0, 0.25), (STOREY_M - 0.1, STOREY_M + 0.15), stone)
     bays = int((wall.length - 2.4) / _BAY_M)
     start = 0.5 * (wall.length - bays * _BAY_M)
-    at = start + _BAY_M * np.arange(bays + 1)
+    at = start + _BAY_M * np.arange(bays + 1, dtype=np.float64)
     if style[0] < 0.5:
         deep, half = min(float(rng.uniform(0.12, 0.25)), low), float(rng.uniform(0.15, 0.3))
         for x in at[::2]:
