@@ -26,12 +26,9 @@ class _Tiled:
 
     def __init__(self, shape: shapely.Geometry, frame: shapely.Geometry) -> None:
         low_x, low_y, high_x, high_y = frame.bounds
-        tiles = [
-            shapely.clip_by_rect(shape, x, y, x + _TILE_M, y + _TILE_M)
-            for x in np.arange(low_x, high_x, _TILE_M)
-            for y in np.arange(low_y, high_y, _TILE_M)
-        ]
-        self._tree = shapely.STRtree([tile for tile in tiles if not tile.is_empty])
+        x, y = np.meshgrid(np.arange(low_x, high_x, _TILE_M), np.arange(low_y, high_y, _TILE_M))
+        tiles = shapely.intersection(shape, shapely.box(x, y, x + _TILE_M, y + _TILE_M).ravel())
+        self._tree = shapely.STRtree(tiles[~shapely.is_empty(tiles)])
 
     def near(self, around: Array) -> NDArray[np.object_]:
         """Return the tiles that touch (4,) bounds."""
