@@ -1,6 +1,7 @@
 """OpenDRIVE maps of many kinds, written by scenariogeneration."""
 
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,9 @@ def motorway(folder: Path) -> Path:
 
 def two_plus_one(folder: Path) -> Path:
     lanes = [xodr.LaneDef(150, 250, 1, 2, 1), xodr.LaneDef(350, 420, 2, 1, 1)]
-    return saved(folder, "two_plus_one", xodr.create_road(xodr.Line(600), 1, 1, lanes, lane_width=3.5))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it links the widening lane twice, and says so
+        return saved(folder, "two_plus_one", xodr.create_road(xodr.Line(600), 1, 1, lanes, lane_width=3.5))
 
 
 def left_hand(folder: Path) -> Path:
@@ -84,6 +87,62 @@ def tee(folder: Path) -> Path:
     return junction(folder, 3, "tee")
 
 
+def left_hand_crossing(folder: Path) -> Path:
+    return _left_handed(junction(folder, name="left_hand_crossing"))
+
+
+def left_hand_roundabout(folder: Path) -> Path:
+    """It is driven clockwise."""
+    return _left_handed(roundabout(folder, name="left_hand_roundabout"))
+
+
+def _left_handed(path: Path) -> Path:
+    text = path.read_text()
+    assert 'rule="RHT"' in text
+    path.write_text(text.replace('rule="RHT"', 'rule="LHT"'))
+    return path
+
+
+def merge(folder: Path) -> Path:
+    """A motorway of two lanes, one way, whose right lane a ramp joins."""
+    before, after = road(xodr.Line(500), 0, 0, 2), road(xodr.Line(500), 1, 0, 2)
+    joining = road(xodr.Line(150), 2, 0, 1)
+    mouth = xodr.CommonJunctionCreator(100, "mouth")
+    mouth.add_incoming_road_cartesian_geometry(before, 0, 0, 0, "successor")
+    mouth.add_incoming_road_cartesian_geometry(after, 80, 0, math.pi, "predecessor")
+    mouth.add_incoming_road_cartesian_geometry(joining, 0, -12, 0.1, "successor")
+    mouth.add_connection(0, 1)
+    mouth.add_connection(2, 1, -1, -2)
+    return saved(folder, "merge", before, after, joining, junctions=(mouth,))
+
+
+def town(folder: Path, side: int = 3, block_m: float = 80.0, mouth_m: float = 12.0) -> Path:
+    """A closed town: blocks of streets between junctions, with no way in or out."""
+    places = [(column, row) for column in range(side) for row in range(side)]
+    junctions = {
+        place: xodr.CommonJunctionCreator(1000 + k, f"{place}", startnum=10_000 + 1000 * k)
+        for k, place in enumerate(places)
+    }
+    streets: list[Any] = []
+    meeting: dict[tuple[int, int], list[int]] = {place: [] for place in places}
+    for column, row in places:
+        for other, heading in (((column + 1, row), 0.0), ((column, row + 1), 0.5 * math.pi)):
+            if other in junctions:
+                street = road(xodr.Line(block_m - 2.0 * mouth_m), len(streets))
+                streets.append(street)
+                for place, angle, end in (
+                    ((column, row), heading, "predecessor"),
+                    (other, heading + math.pi, "successor"),
+                ):
+                    junctions[place].add_incoming_road_circular_geometry(street, mouth_m, angle, end)
+                    meeting[place].append(street.id)
+    for place, names in meeting.items():
+        for k, name in enumerate(names):
+            for other in names[:k]:
+                junctions[place].add_connection(other, name)
+    return saved(folder, "town", *streets, junctions=tuple(junctions.values()))
+
+
 def ramp(folder: Path) -> Path:
     """A motorway of two lanes, one way, with an exit from its right lane."""
     before, after = road(xodr.Line(400), 0, 0, 2), road(xodr.Line(400), 1, 0, 2)
@@ -97,7 +156,7 @@ def ramp(folder: Path) -> Path:
     return saved(folder, "ramp", before, after, leaving, junctions=(fork,))
 
 
-def roundabout(folder: Path, radius_m: float = 25.0, half_rad: float = 0.35) -> Path:
+def roundabout(folder: Path, name: str = "roundabout", radius_m: float = 25.0, half_rad: float = 0.35) -> Path:
     """Four arms on a ring that is driven counter-clockwise; its junctions take up `2 * half_rad` of it each."""
     ring = [road(xodr.Arc(1 / radius_m, angle=0.5 * math.pi - 2 * half_rad), number, 0, 1) for number in range(4)]
     arms = [road(xodr.Line(150), 10 + number) for number in range(4)]
@@ -113,7 +172,7 @@ def roundabout(folder: Path, radius_m: float = 25.0, half_rad: float = 0.35) -> 
         one.add_connection(before, arm, -1, -1)
         one.add_connection(arm, number, 1, -1)
         junctions.append(one)
-    return saved(folder, "roundabout", *ring, *arms, junctions=tuple(junctions))
+    return saved(folder, name, *ring, *arms, junctions=tuple(junctions))
 
 
 def ring(folder: Path) -> Path:
@@ -153,7 +212,7 @@ KINDS: dict[str, Callable[[Path], Path]] = {
     kind.__name__: kind
     for kind in (
         straight, curve, crest, multi_lane, one_way, motorway, two_plus_one, left_hand, junction, tee, ramp, roundabout,
-        ring, parallel, with_things,
+        ring, parallel, with_things, left_hand_crossing, left_hand_roundabout, merge, town,
     )
 }  # fmt: skip
 """Maps by kind."""

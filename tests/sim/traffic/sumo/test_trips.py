@@ -65,12 +65,61 @@ def test_routes_by_id_classes_and_rates_are_those_of_the_file(tmp_path: Path) ->
     assert {tuple(trip.edges) for trip in trips} == {("a", "b", "c")}
 
 
+def test_distributions_give_their_members_by_their_probabilities(tmp_path: Path) -> None:
+    """After SUMO's documentation, "Route and vehicle type distributions": members inside, or named by ids."""
+    path = tmp_path / "mixed.rou.xml"
+    path.write_text(
+        '<routes><vType id="car" probability="0.5"/><vTypeDistribution id="fleet"><vType id="bus" vClass="bus" '
+        'probability="0.25"/><vType id="lorry" vClass="truck" probability="0.75"/></vTypeDistribution>'
+        '<vTypeDistribution id="named" vTypes="car DEFAULT_BIKETYPE" probabilities="0.9 0.1"/>'
+        '<route id="r" edges="a b"/><routeDistribution id="ways"><route id="s" edges="a c" probability="3"/>'
+        '<route refId="r" probability="1"/></routeDistribution>'
+        '<flow id="f" type="fleet" route="ways" begin="0:00:00" end="0:01:40" period="1"/>'
+        '<flow id="g" type="named" route="r" begin="0" end="100" number="50"/></routes>'
+    )
+    trips = read_trips(path)
+    assert Counter(trip.label for trip in trips) == {"bus": 25, "truck": 75, "car": 45, "bicycle": 5}
+    assert Counter(tuple(trip.edges) for trip in trips) == {("a", "c"): 75, ("a", "b"): 75}
+    assert max(trip.depart_s for trip in trips) == 99.0
+
+
+def test_included_files_are_read_once(tmp_path: Path) -> None:
+    (tmp_path / "own.rou.xml").write_text(
+        '<routes><include href="types/types.xml"/><vehicle id="v" type="lorry" depart="0:10:00"><route edges="a b"/>'
+        "</vehicle></routes>"
+    )
+    (tmp_path / "types").mkdir()
+    types = tmp_path / "types" / "types.xml"
+    types.write_text('<additional><vType id="lorry" vClass="truck"/></additional>')
+    assert [(trip.label, trip.depart_s) for trip in read_trips(tmp_path / "own.rou.xml")] == [("truck", 600.0)]
+    types.write_text('<additional><include href="../own.rou.xml"/></additional>')
+    with pytest.raises(ScenarioError, match=r"types\.xml: include: expected at most 20 files, each once"):
+        read_trips(tmp_path / "own.rou.xml")
+
+
+def test_stops_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "own.rou.xml"
+    path.write_text(
+        '<routes><vehicle id="v" depart="1"><route edges="a b"/><stop edge="a" duration="9"/></vehicle></routes>'
+    )
+    assert len(read_trips(path)) == 1
+    assert "1 stops of vehicles or routes are left out" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("row", "said"),
     [
         ('<person id="p" depart="0"><ride from="a" to="b"/></person>', "1 x person with ride"),
         ('<container id="c" depart="0"><tranship from="a" to="b"/></container>', "1 x container with tranship"),
-        ('<vehicle id="v" route="gone" depart="0"/>', "1 x vehicle without an edge"),
+        ('<vehicle id="v" route="gone" depart="0"/>', "1 x vehicle with a route 'gone' that is not there"),
+        ('<flow id="f" fromTaz="a" toTaz="b" begin="0" end="9" number="3"/>', "1 x flow with fromTaz"),
+        ('<trip id="t" fromJunction="a" toJunction="b" depart="0"/>', "1 x trip with fromJunction"),
+        ('<interval begin="0" end="9"><flow id="f" from="a" to="b" number="1"/></interval>', "1 x interval with flow"),
+        ('<include href="gone.xml"/>', "gone.xml: file not found"),
+        (
+            '<vType id="s" vClass="ship"/><trip id="t" type="s" from="a" to="b" depart="0"/>',
+            "trip of type 's', which is",
+        ),
         ('<flow id="f" from="a" to="b" begin="0" end="9" period="0"/>', "not a readable .rou.xml file"),
         ('<trip id="t" from="a" to="b" depart="triggered"/>', "not a readable .rou.xml file"),
     ],
