@@ -92,6 +92,22 @@ def picture_region(
     return Region(calibration.projection @ calibration.camera_from_lidar, size, regions_of(path, lines), spared)
 
 
+def labels_of_scan(
+    path: Path, calibration: KittiCalibration, picture: Path, pose: NDArray[np.float64], own: bool = False
+) -> Labels:
+    """Return the boxes of a scan's label file, in the picture.
+
+    Args:
+        pose: (4, 4) world_from_lidar.
+        own: see `kitti_truth`.
+    """
+    lines = list(enumerate(read_text(path, "label file").splitlines(), 1))
+    boxes, spared = kitti_truth(path, lines, calibration, own)
+    boxes = replace(boxes, object_id=np.arange(1, len(boxes) + 1))
+    region = picture_region(path, lines, calibration, picture, spared).transform(pose)
+    return Labels(boxes.transform(pose), None, region)
+
+
 class KittiObject(Layout):
     """Frames of `training` or `testing`."""
 
@@ -145,14 +161,10 @@ class KittiObject(Layout):
         """Return the boxes in the picture, or all around in trees of ours."""
         if not self.labelled(i):
             return None
-        path, calibration = self._file("label_2", i, "txt"), self._calibration(i)
-        lines = list(enumerate(read_text(path, "label file").splitlines(), 1))
-        boxes, spared = kitti_truth(path, lines, calibration, bool(self._own))
-        boxes = replace(boxes, object_id=np.arange(1, len(boxes) + 1))
-        pose, region = self._pose(calibration), None
-        if not self._around:
-            region = picture_region(path, lines, calibration, self._file("image_2", i, "png"), spared).transform(pose)
-        return Labels(boxes.transform(pose), None, region)
+        path, picture = self._file("label_2", i, "txt"), self._file("image_2", i, "png")
+        calibration = self._calibration(i)
+        found = labels_of_scan(path, calibration, picture, self._pose(calibration), bool(self._own))
+        return replace(found, region=None) if self._around else found
 
     def files(self, i: int) -> list[Path]:
         """Return scan, labels and calibration."""

@@ -21,6 +21,8 @@ from sim.reading import read_bytes
 
 INTERVAL_S = 0.1
 """Time between frames of data sets that tell none, s: that of a LiDAR at 10 Hz."""
+FARTHEST_M = 1e8
+"""Largest coordinate of a pose or box, m."""
 IGNORED = "ignored"
 """Class of objects that are neither to be found nor wrong to find."""
 
@@ -122,15 +124,12 @@ class BoxRows:
     def boxes(self, place: Path | str, field_name: str) -> tuple[Boxes, Boxes]:
         """Return the objects and those to ignore; DataError where a number is none or a size not positive."""
         array = np.array(self.rows, np.float64).reshape(-1, 7)
-        if not (np.abs(array) <= _FARTHEST).all() or (array[:, 3:6] <= 0.0).any():
+        if not (np.abs(array) <= FARTHEST_M).all() or (array[:, 3:6] <= 0.0).any():
             raise DataError(complaint(place, field_name, "finite places and positive sizes", "others"))
         label = np.array([0 if name == IGNORED else CLASSES.index(name) for name in self.classes], np.int64)
         found = Boxes.from_array(array, label, np.array(self.ids, np.int64))
         ignored = np.array([name == IGNORED for name in self.classes], bool)
         return found[~ignored], found[ignored]
-
-
-_FARTHEST = 1e8
 
 
 def read_floats(path: Path, width: int, what: str = "scan") -> NDArray[np.float32]:
@@ -185,7 +184,7 @@ def poses_of(
 ) -> NDArray[np.float64]:
     """Return (N, 4, 4) poses of (N, 4) quaternions w, x, y, z and (N, 3) places; DataError where one is none."""
     length = np.linalg.norm(turns, axis=1)
-    if not (np.isfinite(turns).all() and (np.abs(places) <= _FARTHEST).all() and (np.abs(length - 1.0) < 0.01).all()):
+    if not (np.isfinite(turns).all() and (np.abs(places) <= FARTHEST_M).all() and (np.abs(length - 1.0) < 0.01).all()):
         raise DataError(complaint(path, field_name, "quaternions of length 1 and finite places", "others"))
     w, x, y, z = (turns / length[:, None]).T
     poses = np.tile(np.eye(4), (len(turns), 1, 1))

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dsrc.data.jsonio import read_json
-from dsrc.data.sweeps.layout import IGNORED, BoxRows, Labels, Layout, poses_of
+from dsrc.data.sweeps.layout import FARTHEST_M, IGNORED, BoxRows, Labels, Layout, poses_of
 from dsrc.data.sweeps.scans import Scans
 from sensors.frame import Region, agent_order
 from sensors.sweep import Sweep
@@ -344,13 +344,10 @@ def _matrix(file: Path, place: str, given: TransformData | None) -> NDArray[np.f
     matrix = np.array(values, np.float64).reshape(4, 4)
     turn = np.clip(matrix[:3, :3], -2.0, 2.0)
     rigid = np.abs(turn @ turn.T - np.eye(3)).max() < _TURN_TOLERANCE and np.linalg.det(turn) > 0.0
-    if not (rigid and (np.abs(matrix[:3, 3]) <= _FARTHEST_M).all() and matrix[3].tolist() == [0.0, 0.0, 0.0, 1.0]):
+    if not (rigid and (np.abs(matrix[:3, 3]) <= FARTHEST_M).all() and matrix[3].tolist() == [0.0, 0.0, 0.0, 1.0]):
         expected = "a rotation and a place, the last row 0 0 0 1"
         raise DataError(complaint(file, f"{place}.matrix4x4", expected, "another matrix"))
     return matrix
-
-
-_FARTHEST_M = 1e8
 
 
 def _box(file: Path, place: str, val: list[float]) -> list[float]:

@@ -30,13 +30,12 @@ from dsrc.data.clouds.files import ending_of, is_scan, read_scan, scale_of
 from dsrc.data.clouds.intensity import Scale, parse_scale
 from dsrc.data.formats.kitti_labels import read_calibration
 from dsrc.data.jsonio import read_json
-from dsrc.data.sweeps.kitti import kitti_truth, picture_region
+from dsrc.data.sweeps.kitti import labels_of_scan
 from dsrc.data.sweeps.layout import BoxRows, Labels, Layout
 from sensors.presets import get_lidar
 from sensors.sweep import STATIC, Sweep
 from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
-from sim.reading import read_text
 from sim.settings import read_toml
 
 BOXES, SETTINGS = "boxes.json", "scans.toml"
@@ -170,13 +169,9 @@ class Scans(Layout):
 
     def _kitti(self, i: int) -> Labels:
         path = self._text(i)
-        lines = list(enumerate(read_text(path, "label file").splitlines(), 1))
         calibration = read_calibration(path.parent.parent / "calib" / path.name)
-        boxes, spared = kitti_truth(path, lines, calibration)
         picture = path.parent.parent / "image_2" / f"{path.stem}.png"
-        pose = self.poses(i)[0]
-        region = picture_region(path, lines, calibration, picture, spared).transform(pose)
-        return Labels(replace(boxes, object_id=np.arange(1, len(boxes) + 1)).transform(pose), None, region)
+        return labels_of_scan(path, calibration, picture, self.poses(i)[0])
 
     def _find_scale(self) -> Scale:
         """Return the scale declared, or that of scans spread over the folder."""
