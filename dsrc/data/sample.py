@@ -10,6 +10,7 @@ from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.ops.anchors import Users
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
+from dsrc.ops.ground import Ground
 from sensors.frame import Frame, Region
 from sim.boxes import Boxes
 from sim.errors import DataError, complaint, warn_deprecated
@@ -36,6 +37,8 @@ class Sample:
         other_clouds: (P, 4) clouds of agents in range that are not fused; a teacher's objects have their points.
         corrupted: per agent the corrupted cloud of a training sample, in place of that in `clouds`; else empty.
         region: where boxes are judged, in the sample's frame; None for everywhere in range.
+        grounds: per agent the surface that was taken off its cloud, see `dsrc.data.level`; empty where clouds and boxes
+            lie as the sensors saw them.
     """
 
     key: str
@@ -48,6 +51,7 @@ class Sample:
     other_clouds: tuple[NDArray[np.float32], ...] = ()
     corrupted: tuple[NDArray[np.float32], ...] = ()
     region: Region | None = None
+    grounds: tuple[Ground, ...] = ()
 
 
 Range = tuple[float, float, float, float, float, float]
@@ -219,6 +223,7 @@ def first_agents(sample: Sample, count: int) -> Sample:
         ego_from_agent=sample.ego_from_agent[:count],
         agent_boxes=sample.agent_boxes[:count],
         lost=sample.lost[:count],
+        grounds=sample.grounds[:count],
     )
 
 

@@ -105,7 +105,7 @@ def evaluate_drive(
                 sample, record = _sample(frames, method, samples, name), records[condition, method.name]
                 whole = _sample(frames, replace(method, agents=None), samples, name)
                 if method.name in receivers:
-                    grid = method.detector.settings.grid
+                    grid = method.detector.settings.request.grid
                     sample, links = receivers[method.name].receive(past, i, sample, grid)
                     record.traffic.append(_traffic(links))
                 start = time.perf_counter()

@@ -19,6 +19,7 @@ from dsrc.models.compression import TILE_CELLS, message_bytes
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.settings import ModelSettings, fusion_of
 from dsrc.ops.grid import GridSpec
+from dsrc.ops.ground import CELL_M
 from sensors.corruptions.clock_offset import extrapolate, sensor_path
 from sensors.corruptions.pose_error import PoseError, pose_errors
 from sensors.frame import AgentFrame, Frame
@@ -167,8 +168,8 @@ def payload_of(settings: DetectorSettings, spec: ChannelSpec) -> Payload:
 
     Features: the tiles of the maps that its method sends, in numbers of `settings.bits` (`dsrc.models.compression`),
     divided by `spec.compression`; for Where2comm the whole first scale, of which it sends a share that depends on the
-    scene. Late fusion: a Collective Perception Message with the objects that the agent has points on, in place of its
-    detections. Early fusion: clouds.
+    scene. With heights above the ground, the surface comes with them, of 2 bytes a cell. Late fusion: a Collective
+    Perception Message with the objects that the agent has points on, in place of its detections. Early fusion: clouds.
 
     Args:
         settings: without those of `ModelSettings` a detector reads clouds, of 16 bytes a point.
@@ -180,5 +181,13 @@ def payload_of(settings: DetectorSettings, spec: ChannelSpec) -> Payload:
         return lambda frame, row: cpm_bytes(int(((frame.points_on[row] >= 1) & users_in(frame.truth, users)).sum()))
     method = FUSIONS[settings.fusion]
     message = message_bytes(settings, method.values_sent(settings), method.channels_sent(settings))
-    size = math.ceil(message / spec.compression)
+    size = math.ceil(message / spec.compression) + _ground_bytes(settings)
     return lambda frame, row: size
+
+
+def _ground_bytes(settings: ModelSettings) -> int:
+    """Return the bytes of the surface below an agent's cloud, which puts boxes on ground that the ego does not see."""
+    if settings.height == "sensor":
+        return 0
+    x0, y0, _, x1, y1, _ = settings.grid.range_m
+    return 2 * math.ceil((x1 - x0) / CELL_M) * math.ceil((y1 - y0) / CELL_M)

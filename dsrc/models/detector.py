@@ -16,7 +16,7 @@ from dsrc.models.compression import as_large, reduced
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.inputs.batch import collate, pillars_of
-from dsrc.models.inputs.trained_frame import as_trained, mirrored
+from dsrc.models.inputs.trained_frame import as_sensed, as_trained, mirrored, on_its_ground
 from dsrc.models.layers.backbones import BACKBONES
 from dsrc.models.layers.blocks import Compressor, Decoder, double_conv, upsample
 from dsrc.models.layers.conv_norm import count_batch
@@ -185,6 +185,7 @@ class Detector(nn.Module):
         was_training = self.training
         if was_training:  # setting the mode of a hundred layers takes as long as coding the clouds
             self.eval()
+        sample = on_its_ground(sample, self.settings)
         if self.settings.align_poses:
             sample = aligned(sample, self._single_agent_detections(sample), self.settings.grid)
         batch = collate([sample], self.settings, training=False)
@@ -194,7 +195,8 @@ class Detector(nn.Module):
         parts = self.decode(self(batch.student.to(device), batch.layout.to(device)))
         if was_training:
             self.train()
-        return join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
+        found = join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
+        return as_sensed(found, sample, self.settings)
 
     def _single_agent_detections(self, sample: Sample) -> list[Detections]:
         count = 1 if self.settings.fusion == "none" else self.settings.max_agents
@@ -222,16 +224,20 @@ def decode_maps(
 ) -> list[Detections]:
     """Decode the heads' maps into detections in the range that counts, one `Detections` per row of the batch.
 
-    Boxes are right-handed, whatever frame the network was trained in.
+    Boxes are right-handed, whatever frame the network was trained in. Heights are the network's: those above the ground
+    count at any height until they are put back, see `as_sensed`.
 
     Args:
         cls: as in `NetworkOutput`, like those that follow.
         anchors: see `anchors_of`.
     """
+    range_m = settings.request.judged_m
+    if settings.height == "ground":
+        range_m = (*range_m[:2], -np.inf, *range_m[3:5], np.inf)
     post = PostSettings(
         settings.score_threshold,
         settings.nms_iou,
-        range_m=settings.request.judged_m,
+        range_m=range_m,
         max_extent_m=settings.max_extent_m,
     )
     if settings.box_order == "hwl":

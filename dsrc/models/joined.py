@@ -32,9 +32,9 @@ class JoinedDetectors:
         users = [detector.settings.users for detector in detectors]
         if len(set(users)) < len(users):
             raise SettingsError(complaint("detectors", "users", "different road users", " and ".join(users)))
-        whole = self.settings.grid
+        whole = self.settings.request.grid
         for detector in detectors[1:]:
-            grid = detector.settings.grid
+            grid = detector.settings.request.grid
             low, high = np.array(grid.range_m[:3]), np.array(grid.range_m[3:])
             if (low < whole.range_m[:3]).any() or (high > whole.range_m[3:]).any():
                 raise SettingsError(

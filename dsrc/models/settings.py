@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal, Protocol
 import msgspec
 from msgspec import Meta
 
+from dsrc.data.level import taller
 from dsrc.data.sample import COMM_RANGE_M, OPENCOOD_RANGE_M, DetectorSettings, JudgedBy, SampleRequest, TeamBy
 from dsrc.ops.anchors import Users
 from dsrc.ops.grid import GridSpec
@@ -41,6 +42,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         fusion: key of `dsrc.models.fusion.FUSIONS`.
         backbone: key of `BACKBONES`; None is the method's own: CoAlign's residual blocks, Res2Net for all others.
         released: mistakes of the method's published code are reproduced, see its class.
+        height: what heights are above: `sensor`, the ego's LiDAR, as samples are; `ground`, the surface of the ground
+            below each cloud, which is taken off the clouds and put back on the boxes, see `dsrc.data.level`.
         left_handed: the network was trained in the mirror image, y to the right, as CARLA's LiDARs have it; samples and
             detections are right-handed all the same. Grids are then even about y = 0.
         intensity_steps: steps between 0 and 1 that intensities are rounded to; 255 for the released networks, whose
@@ -102,6 +105,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fusion: str = "attention"
     backbone: Backbone | None = None
     released: bool = False
+    height: Literal["sensor", "ground"] = "sensor"
     left_handed: bool = False
     intensity_steps: Count | None = None
     own_frame: bool = False
@@ -161,6 +165,9 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             # Their targets, clouds and boxes are all in the ego's frame.
             found = f"fusion {self.fusion}, sdd {self.sdd}, pcp {self.pcp}, rec {self.rec}"
             raise ValueError(f"own_frame: expected a fusion of maps without teacher and reconstruction, found {found}")
+        if self.own_frame and self.height == "ground":
+            # Poses between levelled frames are not those between the sensors'.
+            raise ValueError("height: expected sensor with own_frame, found ground")
         if (self.share < 1 or self.bits < 32) and self.fusion in ("none", "early", "late"):
             raise ValueError(f"share, bits: expected a fusion of maps, found {self.fusion}")
         if self.share < 1 and self.fusion == "mrcnet":
@@ -200,7 +207,8 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Rules by which samples are made for the detector, and in whose range its detections count."""
         opencood = self.judged_by == "opencood"
         range_m = OPENCOOD_RANGE_M if opencood else None
-        return SampleRequest(self.grid, self.comm_range_m, self.max_agents, self.users, self.team_by, opencood, range_m)
+        grid = taller(self.grid) if self.height == "ground" else self.grid
+        return SampleRequest(grid, self.comm_range_m, self.max_agents, self.users, self.team_by, opencood, range_m)
 
     @property
     def backbone_name(self) -> Backbone:

@@ -10,6 +10,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.inputs.batch import collate, with_agents
+from dsrc.models.inputs.trained_frame import as_sensed, on_its_ground
 from dsrc.models.settings import fusion_of
 from dsrc.ops.detections import Detections
 
@@ -36,21 +37,23 @@ def team_detections(detector: SampleDetector, sample: Sample) -> list[Detections
     if not isinstance(detector, Detector) or fusion == "early" or detector.settings.align_poses:
         return [detector.detect(with_agents(sample, team)) for team in teams]
     settings, device = detector.settings, detector.cls_head.weight.device
+    sample = on_its_ground(sample, settings)
     batch = collate([sample], settings, training=False).to(device)
     if batch.student is None:
         raise ValueError("a teacher reads clouds that are made with ground truth: it cannot detect in a sample")
     if fusion == "late":
         parts = detector.decode(detector(batch.student, batch.layout))
-        return [join_detections([parts[row] for row in team], settings.nms_iou) for team in teams]
-    with torch.autocast(device.type, detector.precision, enabled=detector.precision != torch.float32):
-        stages = detector.backbone(detector.encoder(batch.student))
-        maps = detector.maps(stages)
+        found = [join_detections([parts[row] for row in team], settings.nms_iou) for team in teams]
+    else:
         found = []
-        for team in teams:
-            rows = torch.tensor(team, device=device)
-            fused = detector.fuse([part[rows] for part in maps], team_layout(batch.layout, team))
-            found += detector.decode(detector.heads(stages, fused).float())
-    return found
+        with torch.autocast(device.type, detector.precision, enabled=detector.precision != torch.float32):
+            stages = detector.backbone(detector.encoder(batch.student))
+            maps = detector.maps(stages)
+            for team in teams:
+                rows = torch.tensor(team, device=device)
+                fused = detector.fuse([part[rows] for part in maps], team_layout(batch.layout, team))
+                found += detector.decode(detector.heads(stages, fused).float())
+    return [as_sensed(part, with_agents(sample, team), settings) for part, team in zip(found, teams, strict=True)]
 
 
 def team_layout(layout: AgentLayout, team: Team) -> AgentLayout:

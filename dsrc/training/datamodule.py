@@ -99,7 +99,7 @@ class DetectionData(pl.LightningDataModule):
         self._resident: ResidentBatches | None = None
         request = recipe.model.request
         exactly = replace(request, keep_ego_box=request.keep_ego_box or recipe.labels.ego_box)
-        grid = source_grid(recipe.model.grid, recipe.augmentation)
+        grid = source_grid(request.grid, recipe.augmentation)
         whole = replace(request, grid=grid, keep_ego_box=recipe.labels.ego_box, truth_range_m=None)
         wide = SampleStore(drives, whole)
         frames, held_out = wide.frames, wide.frames

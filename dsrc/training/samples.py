@@ -12,8 +12,9 @@ import numpy as np
 from torch.utils.data import Dataset
 
 from dsrc.data.drives import labelled_frames, open_drive
+from dsrc.data.level import level
 from dsrc.data.sample import Sample, SampleRequest, make_sample
-from dsrc.training.augment import augment
+from dsrc.training.augment import augment, source_grid
 from dsrc.training.recipes import Recipe
 from sensors.corruptions import SEVERITIES, corrupt_frame
 from sensors.frame import Frame
@@ -93,7 +94,11 @@ class TrainingSet(Dataset[Sample]):
     def __getitem__(self, draw: Draw) -> Sample:
         ref, ego, rng = self.ego_of(draw)
         sample = self.store.sample(ref, ego, self._corruption(*draw))
-        return augment(sample, self.recipe.model.grid, self.recipe.augmentation, rng)
+        model, augmentation = self.recipe.model, self.recipe.augmentation
+        if model.height == "ground":
+            # Before it is lifted, so that lifts are errors of the ground.
+            sample = level(sample, source_grid(model.grid, augmentation))
+        return augment(sample, model.grid, augmentation, rng)
 
     def ego_of(self, draw: Draw) -> tuple[FrameRef, int, np.random.Generator]:
         """Return the frame and the ego of a draw, and the generator of its augmentation."""

@@ -114,7 +114,7 @@ def make_share_cells(unit: Unit[CellJob], progress: Progress) -> None:
                 past = FrameHistory(read, i, partial(corrupted, condition=job.condition, seed=seed))
                 whole = make_sample(past[0], None, detector.settings.request, recorded=read(i))
                 whole = replace(whole, key=f"{name}/{whole.key}")
-                heard = receiver.receive(past, i, whole, detector.settings.grid)[0] if receiver else whole
+                heard = receiver.receive(past, i, whole, detector.settings.request.grid)[0] if receiver else whole
                 found = share_sample(detector, heard, job.settings.iou, whole.agent_ids)
                 rows += _rows(found, heard, whole, name, job.condition.kind, past[0].index)
                 progress(done, len(job.settings.positions))

@@ -188,7 +188,7 @@ def with_agents(sample: Sample, rows: Sequence[int]) -> Sample:
     """Return a sample of some of its agents; the ground truth stays."""
     per_agent: dict[str, Any] = {
         name: tuple(part[row] for row in rows) if (part := getattr(sample, name)) else ()
-        for name in ("agent_ids", "clouds", "agent_boxes", "lost", "corrupted")
+        for name in ("agent_ids", "clouds", "agent_boxes", "lost", "corrupted", "grounds")
     }
     return replace(sample, **per_agent, ego_from_agent=sample.ego_from_agent[list(rows)])
 

@@ -1,8 +1,8 @@
-"""Frame and intensities that a network was trained with, where they are not ours.
+"""Frame, heights and intensities that a network was trained with, where they are not those of samples.
 
-The published networks were trained in CARLA's left-handed LiDAR frame, y to the right, on intensities of 8 bits.
-Samples and detections are right-handed everywhere: such a network gets the mirror image, and its boxes are mirrored
-back.
+Networks of heights above the ground get levelled clouds, and their boxes are put back on the ground. The published
+networks were trained in CARLA's left-handed LiDAR frame, y to the right, on intensities of 8 bits. Samples and
+detections are right-handed everywhere: such a network gets the mirror image, and its boxes are mirrored back.
 """
 
 from dataclasses import replace
@@ -10,8 +10,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import Sample
+from dsrc.data.level import joined, level, raised
+from dsrc.data.sample import Sample, inside
 from dsrc.models.settings import ModelSettings
+from dsrc.ops.detections import Detections
 from sim.boxes import Boxes
 
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
@@ -19,6 +21,7 @@ _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 def as_trained(sample: Sample, settings: ModelSettings) -> Sample:
     """Return a sample as a network of these settings was trained to see it, itself if that is how samples are."""
+    sample = on_its_ground(sample, settings)
     if not settings.left_handed and settings.intensity_steps is None:
         return sample
     clouds, others, corrupted = (
@@ -35,6 +38,21 @@ def as_trained(sample: Sample, settings: ModelSettings) -> Sample:
         agent_boxes=tuple(mirrored(boxes) for boxes in sample.agent_boxes),
         lost=tuple(np.ascontiguousarray(tiles[::-1]) for tiles in sample.lost),
     )
+
+
+def on_its_ground(sample: Sample, settings: ModelSettings) -> Sample:
+    """Return a sample levelled for a network of heights above the ground; itself for others, or where it is level."""
+    if settings.height == "sensor":
+        return sample
+    return level(sample, settings.grid)
+
+
+def as_sensed(found: Detections, sample: Sample, settings: ModelSettings) -> Detections:
+    """Return detections in a sample of `on_its_ground` at the sensors' heights, in the range that counts."""
+    if settings.height == "sensor":
+        return found
+    boxes = raised(found.boxes, joined(sample.grounds[: 1 if settings.fusion == "none" else settings.max_agents]))
+    return Detections(boxes, found.score)[inside(boxes, settings.request.judged_m)]
 
 
 def mirrored(boxes: Boxes) -> Boxes:

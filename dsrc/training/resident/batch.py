@@ -33,6 +33,7 @@ def reason_for_host(recipe: Recipe, settings: ModelSettings) -> str | None:
         "fusion": settings.fusion == "late",
         "own_frame": settings.own_frame,
         "left_handed": settings.left_handed,
+        "height": settings.height == "ground",
         "intensity_steps": settings.intensity_steps is not None,
     }
     return next((name for name, needed in reasons.items() if needed), None)
