@@ -44,13 +44,18 @@ def rows_by(values: Sequence[str]) -> dict[str, NDArray[np.int64]]:
 def header_of(path: Path) -> tuple[str, ...]:
     """Return the lower-case names of the columns of a CSV; DataError for a file that is missing or no text."""
     first = read_text(path, "CSV file", most=LARGEST_BYTES).removeprefix("\ufeff").partition("\n")[0]
-    return tuple(name.strip().lower() for name in first.split(","))
+    return tuple(name.strip().strip('"').lower() for name in first.split(_delimiter(first)))
+
+
+def _delimiter(text: str) -> str:
+    """Return what separates the names of a header: a comma, a semicolon or a tab."""
+    return max(",;\t", key=text.partition("\n")[0].count)
 
 
 def read_columns(
     path: Path, numbers: Sequence[str], texts: Sequence[str] = (), optional: Collection[str] = ()
 ) -> Columns:
-    """Read some columns of a CSV.
+    """Read some columns of a CSV, separated by commas, semicolons or tabs.
 
     Args:
         numbers: names of columns of numbers.
@@ -62,7 +67,8 @@ def read_columns(
     """
     text = read_text(path, "CSV file", most=LARGEST_BYTES).removeprefix("\ufeff")
     with parsing(path, "CSV file"):
-        reader = csv.reader(text.splitlines())
+        delimiter = _delimiter(text)
+        reader = csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True)
         header = [name.strip().lower() for name in next(reader, [])]
         for name in (*numbers, *texts):
             if name not in header and name not in optional:
@@ -80,6 +86,8 @@ def read_columns(
             for name, values in read.items():
                 place = places[name]
                 cell = "" if place is None else row[place].strip()
+                if delimiter == ";":  # as spreadsheets write it where a comma begins the decimals
+                    cell = cell.replace(",", ".")
                 values.append(_number(path, line, name, cell, name in optional))
             for name, listed in said.items():
                 place = places[name]

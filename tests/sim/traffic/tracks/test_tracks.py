@@ -147,6 +147,26 @@ def test_what_the_page_of_formats_writes_of_a_scenario_of_scenarionet_is_read(
     assert "headings of 1 of 2 moving vehicles disagree with their motion, such as object 'ego' by 86" in caplog.text
 
 
+@pytest.mark.parametrize("written", ["semicolons", "tabs", "quotes"])
+def test_a_csv_as_spreadsheets_write_it_is_the_same(tmp_path: Path, written: str) -> None:
+    """A byte order mark, CRLF, columns more than needed; semicolons stand where a comma begins the decimals."""
+    write_csv(tmp_path / "plain.csv")
+    rows = [
+        f"{line},{'note' if k == 0 else '1.5'}" for k, line in enumerate((tmp_path / "plain.csv").read_text().split())
+    ]
+    separated = {
+        "semicolons": [row.replace(",", ";").replace(".", ",") for row in rows],
+        "tabs": [row.replace(",", "\t") for row in rows],
+        "quotes": [",".join(f'"{cell}"' for cell in row.split(",")) for row in rows],
+    }
+    (tmp_path / "other.csv").write_text("\ufeff" + "\r\n".join(separated[written]) + "\r\n", newline="")
+    (plain,), (other,) = read_tracks(tmp_path / "plain.csv"), read_tracks(tmp_path / "other.csv")
+    assert len(plain.tracks) == len(other.tracks) > 0
+    for one, two in zip(plain.tracks, other.tracks, strict=True):
+        np.testing.assert_array_equal(one.center, two.center)
+        np.testing.assert_array_equal(one.yaw, two.yaw)
+
+
 def test_a_gap_is_named_and_nobody_is_there(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "gap.csv"
     rows = [
