@@ -187,25 +187,28 @@ class Import(msgspec.Struct, frozen=True):
     Examples:
         dsrc scenario import my_town.osm.pbf
         dsrc scenario import crossing.xodr --name crossing --out scenarios/crossing
+        dsrc scenario import hanoi.osm.pbf --mix car=2,motorcycle=7,bus=0.5,bicycle=0.5
 
     Attributes:
         map: .net.xml, .net.xml.gz, .osm, .osm.gz, .osm.bz2, .osm.pbf, .json (Overpass) or .xodr.
         name: name of the scenario; default: the file's.
         out: new folder; default: the scenario's name, here.
         traffic_side: side on which traffic keeps; auto: as the map or its country has it.
+        mix: weights of classes of road users, CLASS=WEIGHT with commas; default: of a European town.
     """
 
     map: Positional[File]
     name: str = ""
     out: Folder | None = None
     traffic_side: Literal["auto", "left", "right"] = "auto"
+    mix: str = ""
 
     def run(self) -> None:
         """Convert the map and print the new folder."""
         from sim.catalog.import_map import import_map
 
         log_lines("sim.catalog.import_map", on_terminals=True)
-        folder = import_map(Path(self.map), self.name, self.out, traffic_side=self.traffic_side)
+        folder = import_map(Path(self.map), self.name, self.out, traffic_side=self.traffic_side, mix=self.mix)
         made(folder, "a scenario", "generate", folder, "--out", "data")
 
 

@@ -7,12 +7,13 @@ import logging
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
 from sim.catalog.dry_run import STAY_S, carried, least_traffic, longest_stay, rates
+from sim.catalog.mix import read_mix, with_mix
 from sim.errors import ScenarioError, complaint
 from sim.reading import parsing
 from sim.roads.convert import ConvertedMap, TrafficSide, convert_map, is_network, map_kind
@@ -34,6 +35,7 @@ def import_map(
     out: Path | None = None,
     seeds: Sequence[int] = SEEDS,
     traffic_side: TrafficSide = "auto",
+    mix: str = "",
 ) -> Path:
     """Import a map as a scenario, with traffic around its busiest junction or on its longest road.
 
@@ -44,6 +46,7 @@ def import_map(
         out: folder to make; default: one of that name here.
         seeds: seeds whose drives must be possible.
         traffic_side: side on which traffic keeps; `auto`: as the map or its country has it.
+        mix: weights of the classes of road users, see `sim.catalog.mix`; default: those of a European town.
 
     Returns:
         The folder: `dsrc generate FOLDER` takes it.
@@ -51,7 +54,9 @@ def import_map(
     Raises:
         ScenarioError: the file is missing, of an unknown format, refused by netconvert, without a road for cars, or
             its roads are too short for a drive; or the folder is not empty.
+        SettingsError: the mix names an unknown class, or no cars.
     """
+    weights = read_mix(mix)
     source = Path(source)
     kind = map_kind(source)
     name = name or re.sub("[^A-Za-z0-9_-]+", "_", source.name[: -len(kind)]).strip("_") or "place"
@@ -66,14 +71,16 @@ def import_map(
         made.mkdir()
         found = convert_map(source, made, traffic_side)
         with parsing(source, "map", ScenarioError):
-            _write_scenario(made / "scenario.toml", source, name, found, seeds)
+            _write_scenario(made / "scenario.toml", source, name, found, seeds, weights)
         if folder.is_dir():
             folder.rmdir()
         shutil.move(made, folder)
     return folder
 
 
-def _write_scenario(path: Path, source: Path, name: str, found: ConvertedMap, seeds: Sequence[int]) -> None:
+def _write_scenario(
+    path: Path, source: Path, name: str, found: ConvertedMap, seeds: Sequence[int], mix: Mapping[str, float]
+) -> None:
     """Write a scenario whose demand and agents hold for every seed."""
     from sim.roads.networks import read_network
 
@@ -83,13 +90,14 @@ def _write_scenario(path: Path, source: Path, name: str, found: ConvertedMap, se
         focus = busiest_place(net)
     if focus is None:
         raise ScenarioError(complaint(source, "map", "a road for cars", "none"))
-    kept = carried(net, focus)
+    carries = carried(net, focus)
+    kept = with_mix(carries, mix)
     if "car" not in kept.type_mix:
         raise ScenarioError(complaint(source, "map", "a route for cars", "none"))
     unit = beside_road(net, focus.xy)
 
     def write(vehicles_per_hour: float, vehicles: int) -> None:
-        demand = msgspec.structs.replace(kept, vehicles_per_hour=vehicles_per_hour)
+        demand = with_mix(msgspec.structs.replace(carries, vehicles_per_hour=vehicles_per_hour), mix)
         path.write_text(_scenario(source, name, found, focus, demand, vehicles, unit), encoding="utf-8")
 
     rate = 0.0
