@@ -198,6 +198,12 @@ def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: 
 
 def _triangles(polygon: shapely.Polygon) -> tuple[Array, NDArray[np.int64]]:
     """Return (V, 2) vertices and upward (F, 3) faces of one polygon."""
+    corners = shapely.get_coordinates(polygon)
+    if len(corners) == 4:
+        # A triangle, as most parts of uneven ground are: what earcut makes of it, in a tenth of the time.
+        (ax, ay), (bx, by), (cx, cy), _ = corners.tolist()
+        left = (bx - ax) * (cy - ay) > (by - ay) * (cx - ax)
+        return corners, np.array([[2, 0, 1] if left else [1, 3, 2]], np.int64)
     flat, faces = trimesh.creation.triangulate_polygon(polygon, engine="earcut")
     flat, faces = np.asarray(flat, np.float64)[:, :2], np.asarray(faces, np.int64)
     a, b, c = (flat[faces[:, k]] for k in range(3))
