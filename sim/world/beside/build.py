@@ -169,7 +169,7 @@ def _plots(
         if row < len(kinds):
             corner = 0.0 if edge.signal else _AROUND_CORNER_M + _SIGHT_M
             found.append((kinds[row], substring(line, at, end), at < corner or end > line.length - corner))
-        at = end + float(rng.uniform(0.8, 2.5))
+        at = end + float(rng.uniform(0.5, 1.6))
     return found
 
 
@@ -185,13 +185,13 @@ def _boundary(
     """Return the boundary of one plot, a low one where drivers look across it."""
     if kind != "noise" and not ground.is_fine(shapely.get_coordinates(line.centroid))[0]:
         return []
-    height = float(rng.uniform(*HEIGHT_M.get(kind, (1.4, 2.3))))
+    height = float(rng.uniform(*HEIGHT_M.get(kind, (1.6, 2.4))))
     if low and kind in ("noise", "boards"):
         return []
     height = min(height, float(rng.uniform(*_LOW_M))) if low else height
     width = float(rng.uniform(*_WIDTH_M[kind])) if kind in _WIDTH_M else THICK_M[kind]
     if at_kerb:
-        width, height = min(width, 0.7), min(height, float(rng.uniform(0.7, 1.4)))
+        width, height = min(width, 0.7), min(height, float(rng.uniform(0.9, 1.6)))
     half = 0.5 * width + (HEDGE_TIPS_M if kind == "hedge" else 0.0)
     parts: list[MeshPart] = []
     for piece in ground.take_line(line, half, at_kerb=at_kerb, tall=height > 2.2):

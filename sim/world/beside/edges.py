@@ -15,7 +15,7 @@ from sim.world.roads.streets import Streets
 from sim.world.roads.surfaces import TOWN_SPEED_MPS
 
 _PAVEMENT_M = 2.5
-_BEHIND_RAIL_M = 3.0
+_BEHIND_RAIL_M, _MEDIAN_M = 2.2, 1.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +74,14 @@ def edges_of(streets: Streets, houses: shapely.Geometry) -> list[Edge]:
         plot = half + (max(verge, _PAVEMENT_M) if town and at_kerb else verge)
         line = shapely.LineString(lane.line)
         found.append(
-            Edge(line, side, half + verge + 0.6, plot + (0.0 if town else _BEHIND_RAIL_M), kind, lane.stop == "signal")
+            Edge(
+                line,
+                side,
+                half + verge + 0.6,
+                plot + (0.0 if town else _BEHIND_RAIL_M if at_kerb else _MEDIAN_M),
+                kind,
+                lane.stop == "signal",
+            )
         )
     return found
 

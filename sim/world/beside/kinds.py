@@ -48,8 +48,8 @@ class Density:
 
 DENSITIES: dict[Kind, Density] = {
     "town": Density(
-        boundary={"hedge": 0.46, "shrubs": 0.20, "wall": 0.12, "railing": 0.03, "picket": 0.03, "boards": 0.08},
-        kerb={"hedge": 0.20, "shrubs": 0.14, "railing": 0.12},
+        boundary={"hedge": 0.52, "shrubs": 0.18, "wall": 0.14, "railing": 0.03, "picket": 0.03, "boards": 0.08},
+        kerb={"hedge": 0.30, "shrubs": 0.18, "railing": 0.10},
         trees=5.0,
         row=4.0,
         shrubs=16.0,
@@ -68,8 +68,8 @@ DENSITIES: dict[Kind, Density] = {
         species=("lime", "plane", "maple", "cherry", "birch"),
     ),
     "suburb": Density(
-        boundary={"hedge": 0.44, "shrubs": 0.20, "picket": 0.08, "mesh": 0.04, "wall": 0.08, "boards": 0.06},
-        kerb={"hedge": 0.16, "shrubs": 0.16},
+        boundary={"hedge": 0.50, "shrubs": 0.22, "picket": 0.06, "mesh": 0.02, "wall": 0.08, "boards": 0.08},
+        kerb={"hedge": 0.28, "shrubs": 0.22},
         trees=7.0,
         row=4.0,
         shrubs=20.0,
@@ -86,8 +86,8 @@ DENSITIES: dict[Kind, Density] = {
         species=("lime", "maple", "oak", "birch", "cherry", "spruce", "pine"),
     ),
     "rural": Density(
-        boundary={"shrubs": 0.60, "hedge": 0.15, "mesh": 0.08},
-        kerb={"shrubs": 0.10},
+        boundary={"shrubs": 0.64, "hedge": 0.20, "mesh": 0.06},
+        kerb={"shrubs": 0.20},
         trees=9.0,
         row=3.0,
         shrubs=30.0,
