@@ -17,8 +17,13 @@ def with_sensors(
     lidar: str | None = None,
     roadside_lidar: str | None = None,
     roadside: bool = True,
+    mount: tuple[float, float, float, float] | None = None,
 ) -> Scenario:
-    """Return a scenario with other sensors or another number of agents; None leaves a setting as it is."""
+    """Return a scenario with other sensors or another number of agents; None leaves a setting as it is.
+
+    Args:
+        mount: x y z in the body frame, m, and pitch, deg, of the vehicles' LiDARs.
+    """
     rule = scenario.agents
     units = rule.roadside if roadside else ()
     if roadside_lidar is not None:
@@ -29,6 +34,8 @@ def with_sensors(
         lidar=rule.lidar if lidar is None else lidar,
         roadside=units,
     )
+    if mount is not None:
+        rule = msgspec.structs.replace(rule, mount_xyz_m=mount[:3], mount_pitch_deg=mount[3])
     return msgspec.structs.replace(scenario, agents=rule)
 
 

@@ -112,7 +112,9 @@ def find_logs(source: Path) -> list[Path]:
 def spec_of(log: Path, changes: Changes) -> DriveSpec:
     """Return the specification of a log's drive with changes; raises as `render`."""
     scenario, about = log_settings(log)
-    scenario = with_sensors(scenario, changes.vehicles, changes.lidar, changes.roadside_lidar, changes.roadside)
+    scenario = with_sensors(
+        scenario, changes.vehicles, changes.lidar, changes.roadside_lidar, changes.roadside, changes.mount
+    )
     rule = scenario.agents
     if changes.agent_id and changes.vehicles is not None:
         raise SettingsError("render: --agent-id names the vehicles with a LiDAR; leave out --vehicles")
@@ -122,9 +124,6 @@ def spec_of(log: Path, changes: Changes) -> DriveSpec:
         )
     elif changes.vehicles is not None:
         rule = msgspec.structs.replace(rule, named=())
-    if changes.mount is not None:
-        x, y, z, pitch_deg = changes.mount
-        rule = msgspec.structs.replace(rule, mount_xyz_m=(x, y, z), mount_pitch_deg=pitch_deg)
     frames = int(about["frames"]) if changes.frames is None else changes.frames
     if frames > int(about["frames"]):
         raise SettingsError(complaint("render", "frames", f"at most {about['frames']}, as recorded", frames))

@@ -21,7 +21,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
@@ -54,6 +54,8 @@ class DriveGroup(DriveOptions, frozen=True, forbid_unknown_fields=True, kw_only=
         lidars: presets of the vehicles' LiDARs; empty for the scenario's.
         roadside_lidars: presets of the roadside units' LiDARs; empty for the scenario's.
         roadside: keep the roadside units.
+        mount: x y z in the body frame, m, and pitch, deg, of the vehicles' LiDARs; unset: the scenario's.
+        world: version of the scenarios' world, see `sim.scenario.Scenario`; unset: theirs.
     """
 
     scenarios: Annotated[tuple[str, ...], Meta(min_length=1)]
@@ -63,6 +65,8 @@ class DriveGroup(DriveOptions, frozen=True, forbid_unknown_fields=True, kw_only=
     lidars: tuple[str, ...] = ()
     roadside_lidars: tuple[str, ...] = ()
     roadside: bool = True
+    mount: tuple[float, float, float, float] | None = None
+    world: Literal[1, 2] | None = None
 
 
 class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -200,7 +204,9 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
         else:
             scenario, about = log_settings(recorded / TRAFFIC_LOG)
             proof = about.get("proof")
-        scenario = with_sensors(scenario, number, lidar, roadside_lidar, group.roadside)
+        scenario = with_sensors(scenario, number, lidar, roadside_lidar, group.roadside, group.mount)
+        if group.world is not None:
+            scenario = msgspec.structs.replace(scenario, world=group.world)
         spec = DriveSpec(scenario, seed, frames, **group.shared())
         spec.check(where)
         yield DriveItem(split, drive, spec, recorded, proof)

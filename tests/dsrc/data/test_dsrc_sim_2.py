@@ -1,0 +1,47 @@
+"""dsrc-sim-2: uneven worlds, several sensors, and splits whose places training never sees."""
+
+import re
+from collections import Counter
+
+import pytest
+
+from dsrc.data.datasets.spec import DriveItem, expand, find_split_file, read_dataset
+from sim.world.roads.relief import TOWN, draw_relief
+from tests.dsrc.data.test_dsrc_sim import SAME_SITE
+from tests.paths import ROOT
+
+
+def items() -> list[DriveItem]:
+    path = find_split_file("dsrc-sim-2")
+    assert path is not None
+    return expand(read_dataset(path), path)
+
+
+def test_every_world_is_of_version_2_and_splits_are_as_large_as_they_say() -> None:
+    assert all(item.spec.scenario.world == 2 for item in items())
+    frames = Counter[str]()
+    for item in items():
+        frames[item.split] += item.spec.frames
+    text = (ROOT / "scenarios" / "dsrc-sim-2" / "split.toml").read_text()
+    said = {name.lower(): int(count.replace(",", "")) for name, count in re.findall(r"# (\w+): ([\d,]+) frames", text)}
+    assert said == frames
+
+
+def test_sensors_and_mounts_vary_in_training() -> None:
+    rules = [item.spec.scenario.agents for item in items() if item.split == "train"]
+    assert len({rule.lidar for rule in rules}) >= 6
+    raised = [rule for rule in rules if rule.mount_xyz_m == (0.0, 0.0, 2.2)]
+    assert raised and all(rule.mount_pitch_deg == pytest.approx(1.5) for rule in raised) and len(raised) < len(rules)
+
+
+def test_no_place_of_the_held_back_splits_is_trained_or_validated_on() -> None:
+    places: dict[bool, set[str]] = {True: set(), False: set()}
+    for item in items():
+        name = item.spec.scenario.name
+        places[item.split in ("unseen", "hilly")].add(SAME_SITE.get(name, name))
+    assert places[True] and places[True].isdisjoint(places[False])
+
+
+def test_hilly_seeds_are_steep() -> None:
+    seeds = {item.spec.seed for item in items() if item.split == "hilly"}
+    assert seeds and all(draw_relief(seed, TOWN).steepest > 0.11 for seed in seeds)
