@@ -214,13 +214,19 @@ class HighwayTraffic(DrivableTraffic):
 
     def _put(self, number: int, along: float, kind: VehicleType, speed_factor: float) -> None:
         driver = Driver(self._road, self._roads, number, along, kind, self._made, speed_factor)
-        models = generic_models_for(kind.label)
-        self._models.append(models[int(self._rng.integers(len(models)))])
+        self._models.append(self._model(kind))
         self._made += 1
         goals = self._goals(number)
         driver.send_to(goals[int(self._rng.integers(len(goals)))] if goals else None)
         driver.speed = free_speed(path_ahead(driver, driver.lanes_ahead(AHEAD_M), along))
         self._road.vehicles.append(driver)
+
+    def _model(self, kind: VehicleType) -> str:
+        """Return the body model of the next vehicle, which needs no files of SUMO."""
+        if self._fleet.varied:
+            return self._fleet.model(kind, f"v{self._made}")
+        models = generic_models_for(kind.label)
+        return models[int(self._rng.integers(len(models)))]
 
     def _goals(self, number: int) -> list[int]:
         """Return the exits reachable from a lane, except at its own start."""
