@@ -1,0 +1,103 @@
+"""Trainings of the detectors for real roads: plain and DSRC, alone and with collaborators, on dsrc-sim-2.
+
+Heights are above a fitted ground, cars of any height and sensors of six kinds are seen. All start from the shipped
+detectors' weights: what they know of shapes is kept. The runs follow each other, and each goes on where it was stopped:
+
+    dsrc dataset build dsrc-sim-2 --out data/dsrc-sim-2
+    python -m studies.shipped.train --data data/dsrc-sim-2 --out runs/shipped-2
+
+`--share 0.01` tries them all on a hundredth of the steps; `--list` prints the plan.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from dsrc.training.recipes import RECIPES, Recipe, Stage, of_method, override
+from dsrc.training.train import train
+
+SHIPPED = Path(__file__).resolve().parents[2] / "dsrc" / "checkpoints"
+FRAMES = 500
+"""Frames of an epoch, drawn anew for each, in steps of two."""
+SETTINGS = ("height=ground", "augmentation.height_m=0.15", "augmentation.thinning=0.3", "ema=0.998", "bfloat16=true")
+"""Changes of the recipe `small`; lifts are errors of the fitted ground, thinning stands for sensors of fewer beams."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Training of one detector.
+
+    Attributes:
+        name: of its folder.
+        method: see `dsrc model train --method`.
+        stage: `plain`, `teacher` or `student`.
+        start: name of the run, or of the shipped detector, whose weights it starts from.
+        steps: of two frames.
+        rate: peak learning rate.
+        teacher: name of the run that teaches it; "" for none.
+    """
+
+    name: str
+    method: str
+    stage: Stage
+    start: str
+    steps: int
+    rate: float
+    teacher: str = ""
+
+    def recipe(self, share: float = 1.0) -> Recipe:
+        """Return its recipe, with a share of its steps."""
+        steps = max(round(self.steps * share), 1)
+        frames = min(FRAMES, 2 * steps)
+        size = (f"epochs={max(2 * steps // frames, 1)}", f"epoch_frames={frames}", f"learning_rate={self.rate}")
+        return override(of_method(RECIPES["small"](), self.method), (*SETTINGS, *size))
+
+
+PLAN = (
+    Run("plain-alone", "no-collaboration", "plain", "small-plain", 4000, 1e-3),
+    Run("plain", "attfuse", "plain", "plain-alone", 2000, 5e-4),
+    Run("teacher", "dsrc", "teacher", "small-dsrc", 3000, 1e-3),
+    Run("dsrc-alone", "dsrc-alone", "student", "small-dsrc", 4000, 1e-3, "teacher"),
+    Run("dsrc", "dsrc", "student", "dsrc-alone", 2000, 5e-4, "teacher"),
+)
+"""Runs in their order; a teacher goes before what it teaches. Plain and DSRC have equal steps."""
+
+
+def detector_of(name: str, out: Path) -> Path:
+    """Return the detector file of a run, or of a shipped detector."""
+    return out / name / "detector.pt" if name in {run.name for run in PLAN} else SHIPPED / f"{name}.pt"
+
+
+def main() -> None:
+    description, _, usage = (__doc__ or "").partition("\n\n")
+    parser = argparse.ArgumentParser(
+        description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, default=Path("data/dsrc-sim-2"), help="folder of the data set")
+    parser.add_argument("--out", type=Path, default=Path("runs/shipped-2"), help="folder of the runs")
+    parser.add_argument("--share", type=float, default=1.0, help="share of the steps, to try the plan")
+    parser.add_argument("--only", nargs="+", choices=[run.name for run in PLAN], help="runs; default: all")
+    parser.add_argument("--list", action="store_true", help="print the plan and train nothing")
+    options = parser.parse_args()
+    for run in PLAN:
+        if options.only and run.name not in options.only:
+            continue
+        print(f"{run.name}: {run.method}, {run.stage}, {run.steps} steps, from {run.start}", flush=True)
+        if options.list:
+            continue
+        begun = time.monotonic()
+        train(
+            run.recipe(options.share),
+            options.data / "train",
+            options.out / run.name,
+            run.stage,
+            teacher=detector_of(run.teacher, options.out) if run.teacher else None,
+            validate=options.data / "validation",
+            init=detector_of(run.start, options.out),
+        )
+        print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
