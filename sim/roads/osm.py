@@ -155,8 +155,10 @@ def json_to_xml(source: Path, target: Path) -> None:
             raise ScenarioError(complaint(source, "elements", "OpenStreetMap as JSON of the Overpass API", found))
         root = ET.Element("osm", version="0.6")
         for one in content["elements"]:
+            if one["type"] not in ("node", "way", "relation"):  # such as its counts
+                continue
             names = {key: str(one[key]) for key in ("id", "lat", "lon") if key in one}
-            element = ET.SubElement(root, str(one["type"]), names)
+            element = ET.SubElement(root, one["type"], names)
             places = one.get("geometry") or [{}] * len(one.get("nodes", ()))
             for node, place in zip(one.get("nodes", ()), places, strict=True):
                 at = {key: str(place[key]) for key in ("lat", "lon") if place and key in place}

@@ -116,7 +116,7 @@ def _elements(path: Path, opened: list[Path]) -> Iterator[ET.Element]:
             continue
         other = (path.parent / element.get("href", "")).resolve()
         if other in opened or len(opened) > _MOST_INCLUDES:
-            raise ScenarioError(complaint(path, "include", f"at most {_MOST_INCLUDES} files, each once", other))
+            raise ScenarioError(complaint(path, "include", f"at most {_MOST_INCLUDES} files, each once", str(other)))
         opened.append(other)
         with parsing(other, ".rou.xml file", ScenarioError):
             yield from _elements(other, opened)
@@ -133,7 +133,8 @@ def _routes(root: ET.Element) -> dict[str, _Mix[list[str]]]:
         ]
         names, shares = several.get("routes", "").split(), several.get("probabilities", "").split()
         members += zip([single.get(name, []) for name in names], map(float, shares or ["1"] * len(names)), strict=True)
-        mixes[several.get("id", "")] = _Mix(*zip(*members, strict=True)) if members else _Mix([[]], [1.0])
+        if members:
+            mixes[several.get("id", "")] = _Mix(*zip(*members, strict=True))
     return mixes
 
 
@@ -215,7 +216,7 @@ def _way(element: ET.Element, routes: Mapping[str, _Mix[list[str]]], *, walks: b
 def _seconds(text: str) -> float:
     """Return a time in seconds, also of hours, minutes and seconds, or days before them, with colons."""
     parts = [float(part) for part in text.split(":")]
-    if len(parts) not in (1, 3, 4):
+    if len(parts) not in (1, 3, 4) or not all(map(math.isfinite, parts)):
         raise ValueError(f"{text!r} is no time")
     return sum(part * unit for part, unit in zip(parts[::-1], (1.0, 60.0, 3600.0, 86400.0), strict=False))
 

@@ -14,6 +14,8 @@ from sim.traffic.tracks.xml_file import read_xml_bytes
 
 _DEEPEST = 4
 """Most references inside one another: a maneuver with a trajectory has two."""
+_MOST = 2000
+"""Most references of one depth."""
 _READ = ("ScenarioObject", "ManeuverGroup", "FollowTrajectoryAction", "TrajectoryRef")
 """Elements whose references decide what road users are and how they move; those to controllers and the like do not."""
 
@@ -36,6 +38,8 @@ def expand_catalogs(path: Path, root: ET.Element) -> None:
         ]
         if not found:
             return
+        if len(found) > _MOST:
+            raise DataError(complaint(path, "CatalogReference", f"at most {_MOST}", len(found)))
         for parent, row in found:
             parent[row] = _entry(path, folders, catalogs, parent[row])
     raise DataError(complaint(path, "CatalogReference", f"at most {_DEEPEST} inside one another", "more"))

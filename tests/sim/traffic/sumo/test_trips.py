@@ -115,6 +115,7 @@ def test_stops_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
         ('<flow id="f" fromTaz="a" toTaz="b" begin="0" end="9" number="3"/>', "1 x flow with fromTaz"),
         ('<trip id="t" fromJunction="a" toJunction="b" depart="0"/>', "1 x trip with fromJunction"),
         ('<interval begin="0" end="9"><flow id="f" from="a" to="b" number="1"/></interval>', "1 x interval with flow"),
+        ('<trip id="t" from="a" to="b" depart="nan"/>', "'nan' is no time"),
         ('<include href="gone.xml"/>', "gone.xml: file not found"),
         (
             '<vType id="s" vClass="ship"/><trip id="t" type="s" from="a" to="b" depart="0"/>',
