@@ -15,8 +15,8 @@ surface that fills the beam, relative to a white surface hit squarely at the sam
                                             typically read of silver: L* of about 120, 60 and 35 at 15, 45 and 110
                                             degrees from the mirror's direction, twice a sensor's angle of incidence
 
-    lacquer (0.01 + share * rho) * cos(theta)   vehicles' paint where `spec.lacquer` gives a share: clear coat mirrors
-                                            most of the light away; 0.01 is the dust on it
+Where `spec.lacquer` gives a share, vehicles' paint sends back 0.01 * cos(theta), the dust on its clear coat, and this
+share of its own power: the coat mirrors the rest away.
 
 A film of water darkens what takes it up, because light is reflected back into the film on its way out (Lekner and
 Dorf 1988): rho_wet = (1 - 0.02) * rho * (1 - p) / (1 - p * rho) with p = 0.47; wet beads reflect like the paint below.
@@ -140,9 +140,10 @@ def wet_reflectivity(reflectivity: float) -> float:
 
 
 def _power_of(material: Material, spec: LidarSpec, cosine: NDArray[np.float64], wetness: float) -> NDArray[np.float64]:
-    if spec.lacquer is msgspec.UNSET or not material.name.startswith("paint_"):
+    finish = "lacquer" if material.name.startswith("paint_") else material.finish
+    if spec.lacquer is msgspec.UNSET or finish not in ("lacquer", "flakes"):
         return returned_power(material, cosine, wetness)
-    return (_DUST + spec.lacquer * material.reflectivity) * cosine
+    return _DUST * cosine + spec.lacquer * _power(finish, material.reflectivity, cosine)
 
 
 def _power(finish: str, reflectivity: float, cosine: NDArray[np.float64]) -> NDArray[np.float64]:
