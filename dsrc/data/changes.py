@@ -1,6 +1,7 @@
 """Scenarios with other sensors, agents or another place than their file says."""
 
 import math
+from typing import Literal
 
 import msgspec
 
@@ -37,6 +38,11 @@ def with_sensors(
     if mount is not None:
         rule = msgspec.structs.replace(rule, mount_xyz_m=mount[:3], mount_pitch_deg=mount[3])
     return msgspec.structs.replace(scenario, agents=rule)
+
+
+def in_world(scenario: Scenario, world: Literal[1, 2] | None) -> Scenario:
+    """Return a scenario in a world of another version, see `Scenario.world`; None leaves it as it is."""
+    return scenario if world is None else msgspec.structs.replace(scenario, world=world)
 
 
 def at_place(scenario: Scenario, at: str | tuple[float, float]) -> Scenario:

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.changes import at_place, with_sensors
+from dsrc.data.changes import at_place, in_world, with_sensors
 from dsrc.data.checksums import CHECKSUMS, Written, write_checksums
 from dsrc.data.drive_folder import is_complete, read_settings, write_protocol
 from dsrc.data.formats.opv2v.reader import CLOUDS, PROTOCOL, agent_table, with_clouds, write_frame
@@ -134,6 +134,7 @@ def generate(options: GenerateOptions, progress: Progress | None = None, watch: 
     if options.vehicles is not None and options.vehicles < 0:
         raise SettingsError(complaint("generate", "--vehicles", "at least 0", options.vehicles))
     scenario = with_sensors(scenario, options.vehicles, options.lidar, options.roadside_lidar, options.roadside)
+    scenario = in_world(scenario, options.world)
     if options.at is not None:
         scenario = at_place(scenario, options.at)
     seed = scenario.seed if options.seed is None else options.seed

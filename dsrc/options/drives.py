@@ -62,6 +62,7 @@ class GenerateOptions(DriveOptions, frozen=True):
         roadside_lidar: preset of the roadside units' LiDARs; default: the scenario's.
         at: point of the scenario's world, m, around which agents drive: they and the roadside units within 150 m of it
             to each side take part; default: the scenario's area.
+        world: version of the world: 1 level and bare, 2 uneven and furnished; default: the scenario's.
     """
 
     scenario: AnyScenario
@@ -73,6 +74,7 @@ class GenerateOptions(DriveOptions, frozen=True):
     roadside: bool = True
     roadside_lidar: str | None = None
     at: Place | None = None
+    world: Literal[1, 2] | None = None
 
 
 class CorruptOptions(msgspec.Struct, frozen=True):

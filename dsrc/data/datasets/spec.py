@@ -26,7 +26,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from dsrc.data.changes import with_sensors
+from dsrc.data.changes import in_world, with_sensors
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec
 from dsrc.options.drives import DriveOptions
@@ -205,8 +205,7 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
             scenario, about = log_settings(recorded / TRAFFIC_LOG)
             proof = about.get("proof")
         scenario = with_sensors(scenario, number, lidar, roadside_lidar, group.roadside, group.mount)
-        if group.world is not None:
-            scenario = msgspec.structs.replace(scenario, world=group.world)
+        scenario = in_world(scenario, group.world)
         spec = DriveSpec(scenario, seed, frames, **group.shared())
         spec.check(where)
         yield DriveItem(split, drive, spec, recorded, proof)
