@@ -6,12 +6,14 @@ student with the same fusion is the rival: DSRC adds the teacher's clouds and fo
 reconstruction to each of its steps, and nothing to its use. Students of single clouds (`alone`) are steps of the
 campaign's longest phase.
 
-On a GPU the same steps end with the share of the time in which it computes and, with `--trace`, with a trace of one
-step of DSRC for chrome://tracing; data, recipes and random numbers are those of a CPU.
+On a GPU batches are made there of points in its memory, as a training makes them (`--no-resident`: by the host). The
+same steps end with the share of the time in which it computes and, with `--trace`, with a trace of one step of DSRC for
+chrome://tracing; recipes and random numbers are those of a CPU. `loader_ms` is the CPU time of a loader's process for a
+batch: it reads, draws and collates whole samples, or draws alone.
 
     python -m benchmarks.training            # a few minutes
     python -m benchmarks.training --quick    # fewer samples, under 50 s
-    python -m benchmarks.training --device cuda --recipe opv2v --trace runs/step.json
+    python -m benchmarks.training --device cuda --recipe opv2v --sync-debug --trace runs/step.json
 """
 
 import json
@@ -19,8 +21,10 @@ import os
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -39,12 +43,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.quiet import Timing, measure
 from benchmarks.reading import SAMPLES, make_frame
-from dsrc.data.sample import Sample, make_sample
+from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.models.detector import Detector
-from dsrc.training.datamodule import Collate
+from dsrc.models.inputs.batch import Batch
+from dsrc.training.datamodule import Collate, DetectionData
 from dsrc.training.losses import total
 from dsrc.training.module import DetectionModule
-from dsrc.training.recipes import RECIPES, Recipe, of_method
+from dsrc.training.recipes import RECIPES, Augmentation, Recipe, of_method
+from dsrc.training.resident.batch import ResidentBatches
+from dsrc.training.resident.plan import PlanCollate, ResidentSet
+from dsrc.training.resident.store import ResidentPoints
+from sim.errors import SettingsError, complaint
 
 METHODS = {"plain": "attfuse", "dsrc": "dsrc", "plain_alone": "no-collaboration", "dsrc_alone": "dsrc-alone"}
 """Steps that are timed, and their methods."""
@@ -91,19 +100,49 @@ class Clock:
         self.seconds[part] += time.perf_counter() - started.pop()
 
 
+class Feed:
+    """Batches of a drive for one method: made by the host, or of points in a device's memory."""
+
+    def __init__(self, recipe: Recipe, drive: Path, device: str, resident: bool) -> None:
+        settings, self.device = recipe.settings("student"), device
+        training = DetectionData(replace(recipe, validation_share=0.0), settings, [drive], None, 0).training
+        draws = [(0, number) for number in range(SAMPLES)]
+        self.load: Callable[[], Any]
+        self.make: Callable[[], Batch]
+        if resident:
+            points = ResidentPoints(training.store, training.frames, device)
+            dataset = ResidentSet(training, points.frames, points.points)
+            planned, on_device = PlanCollate(settings, recipe, dataset), ResidentBatches(points, settings, recipe)
+            self.load = lambda: planned([dataset[one] for one in draws])
+            plan = self._pinned(self.load())
+            self.make = lambda: on_device(plan.to(device, non_blocking=True))
+        else:
+            collate, samples = Collate(settings, recipe, training=True), [training[one] for one in draws]
+            self.load = lambda: collate([training[one] for one in draws])
+            self.make = lambda: self._pinned(collate(samples)).to(device, non_blocking=True)
+
+    def _pinned(self, batch: Any) -> Any:
+        return batch if self.device == "cpu" else batch.pin_memory()
+
+    def loader_ms(self) -> float:
+        """Return the CPU time of a loader's process for a batch."""
+        start = time.process_time()
+        self.load()
+        return 1e3 * (time.process_time() - start)
+
+
 class Step:
     """Training step of one method on one batch of samples."""
 
-    def __init__(self, recipe: Recipe, samples: list[Sample], device: str = "cpu") -> None:
+    def __init__(self, recipe: Recipe, drive: Path, device: str = "cpu", resident: bool = False) -> None:
         torch.manual_seed(0)
         self.device = device
         settings = recipe.settings("student")
         teacher = Detector(recipe.settings("teacher")) if settings.distils else None
-        self.recipe, self.samples = recipe, samples
+        self.recipe, self.feed = recipe, Feed(recipe, drive, device, resident)
         self.module = DetectionModule(recipe, Detector(settings), teacher).train().to(device)
-        self.collate = Collate(settings, recipe, training=True)
         self.optimizer = torch.optim.AdamW(self.module.parameters(), lr=1e-5, fused=True)
-        self.clock, self.steps = Clock(), 0
+        self.clock, self.loader_ms = Clock(), 0.0
         detector = self.module.detector
         watched = {
             "encoder": detector.encoder,
@@ -118,7 +157,7 @@ class Step:
     def __call__(self) -> None:
         """Run one step."""
         times = [time.perf_counter()]
-        batch = self.collate(self.samples).to(self.device, non_blocking=True)
+        batch = self.feed.make()
         times.append(time.perf_counter())
         loss = total(self.module.losses(batch).values())
         times.append(time.perf_counter())
@@ -132,22 +171,34 @@ class Step:
         times.append(time.perf_counter())
         for part, seconds in zip(("collate", "forward", "backward", "optimizer"), np.diff(times), strict=True):
             self.clock.seconds[part] += float(seconds)
-        self.steps += 1
 
     def operations(self) -> int:
         """Return the operations that the forward passes, the losses and the backward pass dispatch."""
-        batch, clock = self.collate(self.samples).to(self.device), dict(self.clock.seconds)
+        batch, clock = self.feed.make(), dict(self.clock.seconds)
         with Operations() as operations:
             self.module.backward(total(self.module.losses(batch).values()))
         self.clock.seconds.update(clock)
         return operations.count
 
+    def operations_of_batch(self) -> int:
+        """Return the operations that making a batch dispatches."""
+        with Operations() as operations:
+            self.feed.make()
+        return operations.count
+
+    def check_waits(self) -> None:
+        """Run a step in which PyTorch raises where the host waits for the GPU."""
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            self.module.backward(total(self.module.losses(self.feed.make()).values()))
+        finally:
+            torch.cuda.set_sync_debug_mode("default")
+
     def busy(self, trace: Path | None) -> float:
         """Return the share of a step's time in which the GPU computes, and write the trace of that step."""
-        batch = self.collate(self.samples).to(self.device)
         with profile(activities=[ProfilerActivity.CPU, ProfilerActivity.CUDA]) as profiler:
             start = time.perf_counter()
-            self.module.backward(total(self.module.losses(batch).values()))
+            self.module.backward(total(self.module.losses(self.feed.make()).values()))
             torch.cuda.synchronize()
             whole = time.perf_counter() - start
         if trace is not None:
@@ -166,15 +217,18 @@ class Step:
         return {part: found[part] / whole for part in PARTS}
 
 
-def make_samples(recipe: Recipe) -> list[Sample]:
-    """Return the samples of a batch."""
-    return [make_sample(make_frame(index), None, recipe.model.grid) for index in range(SAMPLES)]
-
-
-def make_steps(recipe: Recipe, device: str) -> dict[str, Step]:
+def make_steps(recipe: Recipe, device: str, resident: bool = False) -> dict[str, Step]:
     """Return the steps that are timed, by name."""
-    samples = make_samples(recipe)
-    return {name: Step(of_method(recipe, method), samples, device) for name, method in METHODS.items()}
+    recipe = replace(recipe, augmentation=Augmentation(flip=False, rotation_deg=0.0, scale=0.0, dropout=0.0))
+    with TemporaryDirectory() as folder:
+        for index in range(SAMPLES):
+            write_frame(Path(folder), make_frame(index))
+        steps = {
+            name: Step(of_method(recipe, method), Path(folder), device, resident) for name, method in METHODS.items()
+        }
+        for step in steps.values():
+            step.loader_ms = step.feed.loader_ms()
+    return steps
 
 
 def figures_of(steps: dict[str, Step], timings: dict[str, Timing]) -> dict[str, Any]:
@@ -185,6 +239,8 @@ def figures_of(steps: dict[str, Step], timings: dict[str, Timing]) -> dict[str, 
         "dsrc_over_plain": round(ms["dsrc"] / ms["plain"], 2),
         "dsrc_over_plain_alone": round(ms["dsrc_alone"] / ms["plain_alone"], 2),
         "operations": {name: step.operations() for name, step in steps.items()},
+        "operations_of_batch": {name: step.operations_of_batch() for name, step in steps.items()},
+        "loader_ms": {name: round(step.loader_ms, 1) for name, step in steps.items()},
         "share": {name: {part: round(v, 3) for part, v in step.shares().items()} for name, step in steps.items()},
     }
 
@@ -205,6 +261,8 @@ def main(
     bfloat16: bool = True,
     recipe: str = "small",
     device: str = "cpu",
+    resident: bool | None = None,
+    sync_debug: bool = False,
     trace: Path | None = None,
 ) -> None:
     """Time training steps: a table, then one line of JSON.
@@ -214,15 +272,26 @@ def main(
         bfloat16: convolutions and matrix products in half the bits, as the campaign's.
         recipe: recipe of the networks.
         device: where they run, `cpu` or `cuda`.
+        resident: make batches of points in the device's memory; by default on a GPU.
+        sync_debug: before all else, run each step once on a GPU so that it raises where the host waits.
         trace: file for the trace of a step of DSRC on a GPU.
     """
+    if device == "cpu" and (sync_debug or trace is not None):
+        raise SettingsError(complaint("benchmark", "--sync-debug, --trace", "--device cuda", device))
     torch.set_num_threads(1)
-    steps = make_steps(replace(RECIPES[recipe](), bfloat16=bfloat16), device)
+    resident = device != "cpu" if resident is None else resident
+    steps = make_steps(replace(RECIPES[recipe](), bfloat16=bfloat16), device, resident)
+    for step in steps.values():
+        if sync_debug:
+            step()  # the first step prepares the teacher
+            step.check_waits()
+            step.clock.seconds.clear()
     rounds, keep = (3, 2) if quick else (15, 7)
     timings = measure(steps, rounds=rounds, keep=keep, sample_s=0.0)
     show(Console(width=160, highlight=False), steps, timings)
     others = float(np.median([timing.load for timing in timings.values()]))
     facts: dict[str, Any] = {"samples": SAMPLES, "bfloat16": bfloat16, "recipe": recipe, "device": device}
+    facts["resident"] = resident
     facts |= {"threads": 1, "cores": os.cpu_count()}
     if device != "cpu":
         facts |= {f"wall_ms_{name}": round(1e3 * timing.wall_s, 1) for name, timing in timings.items()}

@@ -140,7 +140,8 @@ def _moments(x: Tensor, zeros: int | Tensor, real: Tensor | None) -> tuple[Tenso
 
     Centred first, so that float32 suffices; `real` as in `SlotNorm.statistics`.
     """
-    n = zeros + (len(x) if real is None else real.sum(dtype=torch.float64))
+    # At least one, or a batch without a point would end in NaN.
+    n = zeros + (len(x) if real is None else real.sum(dtype=torch.float64).clamp(min=1))
     mean = x.sum(0, dtype=torch.float64) / n
     centre = mean.to(x.dtype)
     centred = x - centre if real is None else (x - centre) * real

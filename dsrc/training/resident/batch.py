@@ -89,41 +89,31 @@ class ResidentBatches:
             batch = self._with_teacher(batch, segments, points, inside, parts, plan)
         if settings.role == "student" and settings.rec:
             whole = [part.end - part.clouds[0] for part in parts]
-            batch = replace(batch, scene=self.cells.scene(self._clouds(points, inside, whole)))
+            batch = replace(batch, scene=self.cells.scene(_clouds(points, inside, whole)))
         return batch
-
-    def _clouds(self, points: Tensor, inside: Tensor, sizes: Sequence[int]) -> Clouds:
-        return Clouds.of(points, inside, sizes, on_device(torch.tensor(sizes), self.store.device))
 
     def _moved(
         self, segments: Sequence[tuple[FramePoints, int]], parts: Sequence[_Part], plan: Plan
     ) -> tuple[Tensor, Tensor]:
         """Return the (P, 4) points of all agents, in the egos' frames and changed, and which of them are in range."""
-        stored = [_of_agent(frame.points, frame.sizes, row) for frame, row in segments]
-        xyz = torch.cat(
-            [
-                # In double precision, as on the host: world coordinates of kilometres are in the poses.
-                (cloud[:, :3].double() @ pose[:3, :3].T + pose[:3, 3]).float()
-                for cloud, pose in zip(stored, plan.poses, strict=True)
-            ]
-        )
+        stored = torch.cat([_of_agent(frame.points, frame.sizes, row) for frame, row in segments])
+        pose = _repeated(plan.poses[:, :3], [frame.sizes[row] for frame, row in segments])
+        # In double precision, as on the host: world coordinates of kilometres are in the poses.
+        xyz = ((pose[..., :3] * stored[:, None, :3]).sum(2) + pose[..., 3]).float()
         inside = _in_range(xyz, self.read)
-        changed = [
-            torch.cat([_in_plane(own, plane), own[:, 2:] + lift], dim=1)
-            for own, plane, lift in zip(
-                xyz.split([part.end - part.clouds[0] for part in parts]), plan.planes, plan.lifts, strict=True
-            )
-        ]
-        xyz = torch.cat(changed)
-        intensity = torch.cat([cloud[:, 3:] for cloud in stored])
-        return torch.cat([xyz, intensity], dim=1), inside & _in_range(xyz, self.kept)
+        of_samples = [part.end - part.clouds[0] for part in parts]
+        plane, lift = _repeated(plan.planes, of_samples), _repeated(plan.lifts, of_samples)
+        # Rounded once for both terms, as by the host's matrix product.
+        xy = torch.addcmul(xyz[:, :1] * plane[..., 0], xyz[:, 1:2], plane[..., 1])
+        xyz = torch.cat([xy, xyz[:, 2:] + lift[:, None]], dim=1)
+        return torch.cat([xyz, stored[:, 3:]], dim=1), inside & _in_range(xyz, self.kept)
 
     def _with_student(self, batch: Batch, points: Tensor, inside: Tensor, parts: Sequence[_Part], plan: Plan) -> Batch:
         """Add the student's pillars."""
         own = [slice(part.clouds[0], part.clouds[-1]) for part in parts]
-        sizes = [end - start for part in parts for start, end in pairwise(part.clouds)]
+        sizes = [size for part in parts for size in _sizes(part.clouds)]
         points, inside = torch.cat([points[rows] for rows in own]), torch.cat([inside[rows] for rows in own])
-        clean = self._clouds(points, inside, sizes)
+        clean = _clouds(points, inside, sizes)
         if plan.shares is None or plan.draws is None:
             return replace(batch, student=self.cells.pillars(clean))
         kept = self._kept(inside, own, plan, plan.shares, plan.draws)
@@ -141,10 +131,7 @@ class ResidentBatches:
         of_agents = [
             self.store.points[part.frame].sizes[row] for part in plan.parts for cloud in part.clouds for row in cloud
         ]
-        share = shares.repeat_interleave(
-            on_device(torch.tensor(of_agents), self.store.device), output_size=sum(of_agents)
-        )
-        return draws[place.clamp(min=0)] < share
+        return draws[place.clamp(min=0)] < _repeated(shares, of_agents)
 
     def _with_teacher(
         self,
@@ -156,36 +143,35 @@ class ResidentBatches:
         plan: Plan,
     ) -> Batch:
         """Add the teacher's pillars and the foreground, see `dsrc.models.inputs.teacher.teacher_clouds`."""
-        settings, known = self.settings, iter(plan.known)
-        found = torch.cat(
-            [
-                _of_agent(frame.rows, frame.found, row) + start
-                for (frame, row), start in zip(segments, _starts([f.sizes[row] for f, row in segments]), strict=True)
-            ]
-        )
-        owners = [_of_agent(frame.owners, frame.found, row) for frame, row in segments]
-        of_part = iter(owners)
-        rows, meant, objects, sizes = [], [], [], []
+        settings = self.settings
+        starts = on_device(torch.tensor(_starts([frame.sizes[row] for frame, row in segments])), self.store.device)
+        found = torch.cat([_of_agent(frame.rows, frame.found, row) for frame, row in segments])
+        found += _repeated(starts, [frame.found[row] for frame, row in segments])
+        owners = iter([_of_agent(frame.owners, frame.found, row) for frame, row in segments])
         number = torch.arange(len(points), device=points.device)
-        for part, planned in zip(parts, plan.parts, strict=True):
-            own_owners = torch.cat([next(of_part) for _ in planned.rows])
-            of_sample = slice(part.found[0], part.found_end)
-            place = found[of_sample]
-            for (start, end), (first, last) in zip(pairwise(part.clouds), pairwise(part.found), strict=True):
-                on_object = next(known)[own_owners].any(1)
-                chosen = on_object & inside[place]
-                of_own = slice(first - part.found[0], last - part.found[0])
-                others = inside[start:end].index_copy(0, place[of_own] - start, (inside[place] & ~on_object)[of_own])
-                shown = slice(None) if settings.sdd else of_own
-                rows += [place[shown], number[start:end]]
-                meant += [chosen[shown], others]
-                objects += [len(meant[-2]), end - start]
-                sizes.append(sum(objects[-2:]))
+        rows, meant, objects = [], [], []
+        for part, planned, known in zip(parts, plan.parts, plan.known.split(plan.agents), strict=True):
+            place = found[part.found[0] : part.found_end]
+            on_object = known[:, torch.cat([next(owners) for _ in planned.rows])].any(2)
+            seen = inside[place]
+            chosen = on_object & seen
+            # Points of the network's clouds come first, each on an object of its own agent or not.
+            first, end, own = part.clouds[0], part.clouds[-1], part.found[-1] - part.found[0]
+            cloud = _repeated(torch.arange(len(planned.clouds), device=points.device), _sizes(part.found))
+            of_agent = on_object[:, :own].gather(0, cloud[None])[0]
+            others = inside[first:end].index_copy(0, place[:own] - first, seen[:own] & ~of_agent)
+            sizes = _sizes(part.clouds)
+            split = zip(number[first:end].split(sizes), others.split(sizes), pairwise(part.found), strict=True)
+            for agent, (own_rows, own_others, ends) in enumerate(split):
+                shown = slice(None) if settings.sdd else slice(*(row - part.found[0] for row in ends))
+                rows += [place[shown], own_rows]
+                meant += [chosen[agent, shown], own_others]
+                objects += [len(rows[-2]), len(own_rows)]
         whole, inside_whole = points[torch.cat(rows)], torch.cat(meant)
-        is_object = self._clouds(whole, inside_whole, objects).cloud % 2 == 0
+        is_object = _repeated(torch.arange(len(objects), device=points.device), objects) % 2 == 0
         if settings.pcp:
             whole = torch.cat([whole, is_object[:, None].to(whole.dtype)], dim=1)
-        clouds = self._clouds(whole, inside_whole, sizes)
+        clouds = _clouds(whole, inside_whole, [sum(pair) for pair in zip(objects[::2], objects[1::2], strict=True)])
         on_objects = replace(clouds, inside=inside_whole & is_object)
         batch = replace(batch, teacher=self.cells.pillars(clouds))
         if self.recipe.distill.teacher_norms == "moving":
@@ -202,13 +188,23 @@ def _corners(grid: GridSpec, device: torch.device) -> tuple[Tensor, Tensor]:
     return low, high
 
 
-def _in_plane(xyz: Tensor, plane: Tensor) -> Tensor:
-    """Return the (P, 2) changed x and y, rounded as by the host's matrix product: once for both terms."""
-    return torch.addcmul(xyz[:, :1] * plane[:, 0], xyz[:, 1:2], plane[:, 1])
-
-
 def _in_range(xyz: Tensor, corners: tuple[Tensor, Tensor]) -> Tensor:
     return ((xyz > corners[0]) & (xyz < corners[1])).all(1)
+
+
+def _repeated(rows: Tensor, sizes: Sequence[int]) -> Tensor:
+    """Return each row as often as its size says, which the host knows."""
+    return rows.repeat_interleave(on_device(torch.tensor(sizes), rows.device), dim=0, output_size=sum(sizes))
+
+
+def _clouds(points: Tensor, inside: Tensor, sizes: Sequence[int]) -> Clouds:
+    """Return clouds of these sizes."""
+    return Clouds(points, _repeated(torch.arange(len(sizes), device=points.device), sizes), inside, tuple(sizes))
+
+
+def _sizes(ends: Sequence[int]) -> list[int]:
+    """Return the sizes of consecutive parts that begin and end at these rows."""
+    return [end - start for start, end in pairwise(ends)]
 
 
 def _starts(sizes: Sequence[int]) -> list[int]:

@@ -4,7 +4,6 @@ How many points and pillars there are is known on the device alone. So the array
 most, and what is beyond the real rows is marked: see `Pillars.padded` and `SceneVoxels.real`.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -35,13 +34,6 @@ class Clouds:
     cloud: Tensor
     inside: Tensor
     sizes: tuple[int, ...]
-
-    @classmethod
-    def of(cls, points: Tensor, inside: Tensor, sizes: Sequence[int], sizes_on_device: Tensor) -> "Clouds":
-        """Return clouds of these sizes, which the host knows and the device too."""
-        numbers = torch.arange(len(sizes), device=points.device)
-        cloud = numbers.repeat_interleave(sizes_on_device, output_size=sum(sizes))
-        return cls(points, cloud, inside, tuple(sizes))
 
 
 class Cells:
