@@ -55,6 +55,7 @@ from dsrc.training.resident.plan import PlanCollate, ResidentSet
 from dsrc.training.resident.store import ResidentPoints
 from sim.errors import SettingsError, complaint
 
+_AS_IT_IS = Augmentation(flip=False, rotation_deg=0.0, scale=0.0, random_ego=False, dropout=0.0)
 METHODS = {"plain": "attfuse", "dsrc": "dsrc", "plain_alone": "no-collaboration", "dsrc_alone": "dsrc-alone"}
 """Steps that are timed, and their methods."""
 PARTS = (
@@ -219,7 +220,7 @@ class Step:
 
 def make_steps(recipe: Recipe, device: str, resident: bool = False) -> dict[str, Step]:
     """Return the steps that are timed, by name."""
-    recipe = replace(recipe, augmentation=Augmentation(flip=False, rotation_deg=0.0, scale=0.0, dropout=0.0))
+    recipe = replace(recipe, augmentation=_AS_IT_IS)
     with TemporaryDirectory() as folder:
         for index in range(SAMPLES):
             write_frame(Path(folder), make_frame(index))
