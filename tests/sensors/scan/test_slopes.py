@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from sensors.presets import get_lidar
 from sensors.scan.lidar import scan
@@ -21,7 +22,7 @@ def test_a_plane_tilted_by_5_percent_returns_what_a_tilted_sensor_gets_of_a_leve
     tilted = ground()
     tilted.apply_transform(turn)
 
-    def sweep(plane: object, pose: Array) -> Sweep:
+    def sweep(plane: trimesh.Trimesh, pose: Array) -> Sweep:
         scene = scene_of(plane)
         return scan(scene, get_lidar(preset), pose, pose, 0.0, np.random.default_rng(3))
 

@@ -317,7 +317,7 @@ class DriveReader:
             visible_fraction=_fractions(records),
             region=first.part.region() if isinstance(first.part, Part) else None,
             sight=_sight(records, [first.agents.index(agent) for agent in self.agents]),
-            tilt=np.array([] if first.tilt is msgspec.UNSET else first.tilt, np.float64).reshape(-1, 2),
+            tilt=np.array(first.tilt if isinstance(first.tilt, list) else [], np.float64).reshape(-1, 2),
         )
 
     def _foreign_frame(self, stem: str, notes: list[Annotation]) -> Frame:

@@ -266,7 +266,7 @@ def _checked(path: Path, record: Record) -> Record:
     for name in ("acceleration", "signals", "lane", "visible_fraction"):
         if len(getattr(record, name)) not in (0, n):
             raise DataError(complaint(path, f"testbed.{name}", f"{n} rows or none", len(getattr(record, name))))
-    if record.tilt is not msgspec.UNSET and len(record.tilt) != n:
+    if isinstance(record.tilt, list) and len(record.tilt) != n:
         raise DataError(complaint(path, "testbed.tilt", f"{n} rows or none", len(record.tilt)))
     if len(record.sight) not in (0, len(record.agents)):
         raise DataError(complaint(path, "testbed.sight", f"{len(record.agents)} agents or none", len(record.sight)))
