@@ -12,6 +12,7 @@ as in J. Fang et al., LiDAR-Aug, CVPR 2021.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +105,9 @@ def paste(sweep: Sweep, cutting: Cutting, turn_rad: float, ground: Ground) -> tu
     seen = ~_covered(points, sweep[~hidden])
     moved = replace(cutting.points, points=points.astype(np.float32))[seen]
     rest = sweep[~hidden]
-    columns = {name: np.concatenate([getattr(rest, name), getattr(moved, name)]) for name in POINT_FIELDS}
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(rest, name), getattr(moved, name)]) for name in POINT_FIELDS
+    }
     return replace(rest, **columns), box
 
 
@@ -246,7 +249,7 @@ def _free(sweep: Sweep, boxes: Boxes, box: Boxes, ground: Ground) -> bool:
 
 def _near(boxes: Boxes) -> NDArray[np.bool_]:
     """Return (N,) boxes that detectors of any range should find."""
-    return (np.abs(boxes.center[:, :2]) < REACH_M).all(axis=1)
+    return np.asarray((np.abs(boxes.center[:, :2]) < REACH_M).all(axis=1))
 
 
 def _in(sweep: Sweep, boxes: Boxes) -> NDArray[np.intp]:

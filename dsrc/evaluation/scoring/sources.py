@@ -172,7 +172,7 @@ def _counted(found: Detections, truth: Truth) -> tuple[FrameResult, NDArray[np.b
     order = np.flatnonzero(near)
     found = found[order[np.argsort(-found.score[order], kind="stable")]]
     left_out = np.concatenate([truth.boxes.array[~counts & ~truth.own], truth.others.array])
-    spared: NDArray[np.bool_] = (bev_iou(found.boxes.array, left_out) > _TOUCHES).any(axis=1)
+    spared = np.asarray((bev_iou(found.boxes.array, left_out) > _TOUCHES).any(axis=1))
     if truth.region is not None:
         spared |= ~truth.region.counts(found.boxes, _MARGIN_PX)
     return FrameResult(found, truth.boxes[counts]), spared
