@@ -171,7 +171,15 @@ def carpet(shape: shapely.Geometry, height: Height, lift_m: float, material: str
     return whole
 
 
-def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: str, depth_m: float = 0.0) -> MeshPart:
+def slab(
+    shape: shapely.Geometry,
+    height: Height,
+    top_m: float,
+    wall: str,
+    top: str,
+    depth_m: float = 0.0,
+    upper: shapely.Geometry | None = None,
+) -> MeshPart:
     """Return extruded polygons without a floor: kerbs, walls, blocks.
 
     Args:
@@ -179,8 +187,9 @@ def slab(shape: shapely.Geometry, height: Height, top_m: float, wall: str, top: 
         top_m: of the upper face above the road.
         top: material of the upper face.
         depth_m: how far the sides reach below the road.
+        upper: the outline in parts that the upper face is made of; left out: the outline itself.
     """
-    parts = [carpet(shape, height, top_m, top)]
+    parts = [carpet(shape if upper is None else upper, height, top_m, top)]
     for polygon in rings_of(shape):
         polygon = shapely.geometry.polygon.orient(polygon)
         for line in (polygon.exterior, *polygon.interiors):

@@ -5,7 +5,7 @@ import shapely
 import trimesh
 
 from sim.geometry import Array
-from sim.mesh.solids import MeshPart, join, strip, to_mesh
+from sim.mesh.solids import MeshPart, join, to_mesh
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.traffic.highway.roads import LaneNetwork, RoadLane, read_roads
@@ -13,7 +13,7 @@ from sim.world.beside.build import Site, beside, density_of
 from sim.world.buildings.houses import blocks, guard_rails
 from sim.world.furniture.kerbside import furniture
 from sim.world.furniture.map_objects import MapObjects
-from sim.world.roads.markings import LIFT_M, cut_line, dashes, offset
+from sim.world.roads.markings import cut_line, dashes, offset, paint
 from sim.world.roads.streets import NOTHING, Lane, Streets
 from sim.world.roads.surfaces import surfaces
 from sim.world.roads.terrain import level_land
@@ -135,21 +135,19 @@ def _paint(roads: LaneNetwork, streets: Streets) -> list[MeshPart]:
     inner = [
         shapely.LineString(line).buffer(0.5 * lane.width - 0.3) for line, (_, lane) in zip(lines, lanes, strict=True)
     ]
-    parts = []
+    bands: list[tuple[Array, Array]] = []
     for row, (line, (_, lane)) in enumerate(zip(lines, lanes, strict=True)):
         others = shapely.unary_union([shape for other, shape in enumerate(inner) if other != row])
         for kind, side in zip(lane.borders, (1.0, -1.0), strict=True):
             border = shapely.LineString(offset(line, side * (0.5 * lane.width - 0.5 * _LINE_M)))
             for part in shapely.get_parts((border & frame) - others):
                 if part.geom_type == "LineString" and part.length > 1.0:
-                    parts += _bands(np.asarray(part.coords), kind, streets)
-    return parts
+                    bands += _bands(np.asarray(part.coords), kind)
+    return paint(bands, streets)
 
 
-def _bands(line: Array, kind: str, streets: Streets) -> list[MeshPart]:
+def _bands(line: Array, kind: str) -> list[tuple[Array, Array]]:
+    """Return the left and right lines of the paint along a border."""
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
     cuts = {"none": [], "solid": [cut_line(line, 0.0, length)], "dashed": dashes(line, _DASH_M, _GAP_M)}[kind]
-    return [
-        strip(offset(cut, 0.5 * _LINE_M), offset(cut, -0.5 * _LINE_M), streets.height, LIFT_M, "marking")
-        for cut in cuts
-    ]
+    return [(offset(cut, 0.5 * _LINE_M), offset(cut, -0.5 * _LINE_M)) for cut in cuts]

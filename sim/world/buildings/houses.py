@@ -208,5 +208,5 @@ def guard_rails(streets: Streets) -> MeshPart:
         return join([])
     reach = shapely.unary_union([shapely.LineString(lane.line).buffer(0.5 * lane.width + 1.5) for lane in fast])
     ring = streets.road.buffer(1.1) - streets.road.buffer(1.0)
-    bars = ring & reach & shapely.box(*streets.window)
-    return slab(streets.terrain.follow(bars.simplify(0.03)), streets.height, 0.75, "metal", "metal", -0.45)
+    bars = streets.terrain.follow((ring & reach & shapely.box(*streets.window)).simplify(0.03))
+    return slab(bars, streets.height, 0.75, "metal", "metal", -0.45, streets.terrain.upper(bars))

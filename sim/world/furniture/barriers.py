@@ -43,7 +43,7 @@ def _solid(kind: str, line: shapely.LineString, height_m: float, streets: Street
     band = streets.terrain.follow(line.buffer(_HALF_M[kind], cap_style="flat", join_style="mitre", mitre_limit=2.0))
     material = _MATERIAL[kind]
     foot = -0.45 if kind == "guard_rail" else 0.3
-    return [slab(band, streets.height, height_m, material, material, foot)]
+    return [slab(band, streets.height, height_m, material, material, foot, streets.terrain.upper(band))]
 
 
 def _rails(line: shapely.LineString, height_m: float, streets: Streets) -> list[MeshPart]:

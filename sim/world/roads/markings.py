@@ -26,7 +26,11 @@ def markings(streets: Streets) -> list[MeshPart]:
         elif lane.kind == "road" and not lane.internal:
             lines += _lane_lines(lane)
     inside = [(line, width) for line, width in lines if frame.contains(shapely.LineString(line))]
-    bands = [(offset(line, 0.5 * width), offset(line, -0.5 * width)) for line, width in inside]
+    return paint([(offset(line, 0.5 * width), offset(line, -0.5 * width)) for line, width in inside], streets)
+
+
+def paint(bands: list[tuple[Array, Array]], streets: Streets) -> list[MeshPart]:
+    """Return the paint between lines, (K, 2) left and right of each band, on the road."""
     if streets.terrain.flat:
         return [strip(left, right, streets.height, LIFT_M, "marking") for left, right in bands]
     shapes = shapely.make_valid(np.array([shapely.Polygon([*left, *right[::-1]]) for left, right in bands]))

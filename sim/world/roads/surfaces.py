@@ -21,11 +21,12 @@ def surfaces(streets: Streets) -> list[MeshPart]:
     """Return carriageways, pavements with kerbs, tracks and the ground."""
     height = streets.height
     walk, cut = pavement(streets), streets.terrain.cut
+    kerbs, upper = streets.terrain.follow(_kerbs(streets)), streets.terrain.upper
     return [
         carpet(cut(streets.road), height, 0.0, "asphalt"),
         carpet(cut(walk), height, 0.0, "pavement"),
         carpet(cut(streets.rail - walk), height, -0.01, "gravel"),
-        slab(streets.terrain.follow(_kerbs(streets)), height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M),
+        slab(kerbs, height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M, upper(kerbs)),
         *_tracks(streets),
         ground(streets),
     ]
@@ -72,7 +73,9 @@ def _tracks(streets: Streets) -> list[MeshPart]:
         for rail in (line.offset_curve(0.5 * _GAUGE_M), line.offset_curve(-0.5 * _GAUGE_M))
     ]
     bars = streets.terrain.follow((shapely.unary_union(rails) & streets.rail) - streets.road.buffer(0.2))
-    return [slab(bars, streets.height, 0.12, "metal", "metal", 0.02)] if not bars.is_empty else []
+    if bars.is_empty:
+        return []
+    return [slab(bars, streets.height, 0.12, "metal", "metal", 0.02, streets.terrain.upper(bars))]
 
 
 def ground(streets: Streets) -> MeshPart:

@@ -67,6 +67,14 @@ class Terrain:
         """Return a shape with added corners, so that its outline follows the terrain."""
         return shape if self.slopes is None else shapely.segmentize(shape, CELL_M)
 
+    def upper(self, shape: shapely.Geometry) -> shapely.Geometry | None:
+        """Return the parts of the upper face of what is built along the ground, as `cut`; None in version 1.
+
+        Triangulation drops the corners that `follow` adds to straight outlines, so that faces of long straight shapes
+        would span hollows. Worlds of version 1 keep them so.
+        """
+        return self.cut(shape) if isinstance(self.slopes, Facets) else None
+
 
 def level_land(window: Window, height_m: float) -> Terrain:
     """Return level terrain around a window: two triangles."""
