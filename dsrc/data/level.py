@@ -6,7 +6,7 @@ above a flat ground are missed and made up.
 Each agent's cloud is levelled by a surface of its own in the frame of the sample, as an agent can that sends features
 before it hears of others. The clouds so fit together where a believed pose errs in height, pitch or roll. Boxes are
 levelled, and put back, by the ego's surface, and where it does not know the ground by that of the first agent that
-does.
+does. A cloud without any ground stays as it is.
 """
 
 from collections.abc import Sequence
@@ -42,10 +42,10 @@ def level(sample: Sample, grid: GridSpec, lidar_m: float = LIDAR_M) -> Sample:
         return sample
     reach_m = max(abs(limit) for limit in (*grid.range_m[:2], *grid.range_m[3:5]))
     others, corrupted = (
-        tuple(_lowered(cloud, fit_ground(cloud, reach_m), grid, lidar_m) for cloud in clouds)
+        tuple(_lowered(cloud, _fitted(cloud, reach_m, lidar_m), grid, lidar_m) for cloud in clouds)
         for clouds in (sample.other_clouds, sample.corrupted)
     )
-    grounds = [fit_ground(cloud, reach_m) for cloud in sample.clouds]
+    grounds = [_fitted(cloud, reach_m, lidar_m) for cloud in sample.clouds]
     return level_by(replace(sample, other_clouds=others, corrupted=corrupted), grounds, grid, lidar_m)
 
 
@@ -68,6 +68,11 @@ def raised(boxes: Boxes, ground: Ground, sign: float = 1.0, lidar_m: float = LID
     return replace(boxes, center=center)
 
 
+def _fitted(cloud: NDArray[np.float32], reach_m: float, lidar_m: float) -> Ground:
+    ground = fit_ground(cloud, reach_m)
+    return ground if ground.known.any() else replace(ground, heights=np.full_like(ground.heights, -lidar_m))
+
+
 def _lowered(cloud: NDArray[np.float32], ground: Ground, grid: GridSpec, lidar_m: float) -> NDArray[np.float32]:
     moved = cloud.copy()
     moved[:, 2] -= (ground.at(cloud) + lidar_m).astype(np.float32)
@@ -76,9 +81,10 @@ def _lowered(cloud: NDArray[np.float32], ground: Ground, grid: GridSpec, lidar_m
 
 
 def joined(grounds: Sequence[Ground]) -> Ground:
-    """Return the surface of the boxes: the first agent's, with what the others know where it does not."""
-    heights, known = grounds[0].heights.copy(), grounds[0].known.copy()
-    for other in grounds[1:]:
+    """Return the surface of the boxes: that of the first agent that knows any, with what others know where it does not."""
+    first = next((ground for ground in grounds if ground.known.any()), grounds[0])
+    heights, known = first.heights.copy(), first.known.copy()
+    for other in grounds:
         new = other.known & ~known
         heights[new], known = other.heights[new], known | new
-    return Ground(heights, known, grounds[0].cell_m)
+    return Ground(heights, known, first.cell_m)

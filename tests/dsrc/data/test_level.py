@@ -9,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from dsrc.data.level import joined, level, raised, taller
-from dsrc.data.sample import Sample
+from dsrc.data.sample import Sample, make_sample
+from dsrc.detectors.levelled import LevelledDetector
 from dsrc.models.detector import Detector
 from dsrc.models.joined import JoinedDetectors
 from dsrc.models.settings import ModelSettings
@@ -18,6 +19,7 @@ from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import debug
 from sim.boxes import Boxes
 from sim.errors import SettingsError
+from tests.dsrc.training.drive import frame
 
 GRID = GridSpec((-25.6, -12.8, -3.0, 25.6, 12.8, 1.0))
 SETTINGS = msgspec.structs.replace(debug().settings("plain"), grid=GRID, height="ground", score_threshold=0.0)
@@ -90,6 +92,26 @@ def test_where_the_ego_sees_no_ground_that_of_another_counts() -> None:
     assert joined(level(near, GRID).grounds[:1]).at(np.array([[20.0, 0.0]]))[0] < -0.8
 
 
+def test_without_any_ground_nothing_moves_and_an_agent_that_sees_it_says_where_it_is() -> None:
+    both, few = sample(0.1, (1.6, 1.6)), cloud(3, 0.0, 1.6)[::3000]
+    blind = replace(both, clouds=(few, both.clouds[1]))
+    alone = level(replace(blind, clouds=(few,), agent_boxes=both.agent_boxes[:1]), GRID)
+    assert len(few) == 4 and np.array_equal(alone.clouds[0], few)
+    assert np.array_equal(alone.boxes.center, both.boxes.center)
+    assert level(blind, GRID).boxes.center[:, 2] == pytest.approx(-1.9 + 0.8, abs=0.12)
+
+
+def test_on_flat_ground_levelled_detectors_are_judged_on_the_same_boxes() -> None:
+    plain = msgspec.structs.replace(SETTINGS, height="sensor")
+    wanted, *others = (
+        make_sample(frame(0), None, settings.request).boxes.array
+        for settings in (plain, SETTINGS, LevelledDetector(network(plain), "auto").settings)
+    )
+    assert len(wanted) > 1
+    for found in others:
+        assert np.array_equal(found, wanted)
+
+
 def test_a_network_of_heights_above_the_ground_levels_and_puts_back_by_itself() -> None:
     uneven = sample(0.08, (1.7, 2.2))
     flat_one = network(msgspec.structs.replace(SETTINGS, height="sensor"))
@@ -100,6 +122,7 @@ def test_a_network_of_heights_above_the_ground_levels_and_puts_back_by_itself() 
     assert len(found) > 20
     rows = np.flatnonzero(np.isin(wanted.score, found.score))
     on_slope = raised(wanted[rows].boxes, joined(seen.grounds)).array
+    assert len(rows) > 20
     assert np.array_equal(on_slope[:, :2], found.boxes.array[: len(rows), :2])
     assert np.allclose(on_slope, found.boxes.array[: len(rows)])
     # The range that counts is as high as the hills, for true boxes too.
