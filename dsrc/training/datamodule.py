@@ -24,7 +24,7 @@ from sim.streams import Stream, random_generator
 
 LOG = logging.getLogger(__name__)
 RESIDENT = ("cuda",)
-"""Types of devices that keep the points of a training; on CPUs the compiled loops are faster."""
+"""Types of devices that keep the points of a training; on CPUs the host's compiled loops make the batches."""
 _SHARE = 0.5
 """Share of a device's free memory that points may take; networks need the rest."""
 
@@ -145,12 +145,12 @@ class DetectionData(pl.LightningDataModule):
         if device.type not in RESIDENT:
             return None
         store, frames = self.training.store, self.training.frames
-        why = reason_for_host(self.recipe, self.settings)
+        if why := reason_for_host(self.recipe, self.settings):
+            LOG.warning("points stay with the host: %s", why)
+            return None
         needed, free = expected_bytes(store, frames), free_bytes(device)
-        if why is None and needed > _SHARE * free:
-            why = f"their {needed / 1e9:.1f} GB beside {free / 1e9:.1f} GB free"
-        if why is not None:
-            LOG.warning("points stay with the host, which takes longer: %s", why)
+        if needed > _SHARE * free:
+            LOG.warning("points stay with the host: their %.1f GB beside %.1f GB free", needed / 1e9, free / 1e9)
             return None
         LOG.info("points of %d frames go to %s: about %.1f GB", len(frames), device, needed / 1e9)
         return ResidentPoints(store, frames, device, self.recipe.workers)

@@ -1,6 +1,5 @@
 """Store of the points of all frames of a training in a device's memory; boxes and poses stay with the host."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -103,8 +102,8 @@ def expected_bytes(store: SampleStore, frames: Sequence[FrameRef]) -> int:
 
 
 def free_bytes(device: torch.device) -> int:
-    """Return the free memory of a device; of a CPU, whose memory the points are in anyway, it counts as unlimited."""
-    return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else sys.maxsize
+    """Return the free memory of a GPU."""
+    return torch.cuda.mem_get_info(device)[0]
 
 
 class ResidentPoints:

@@ -218,12 +218,26 @@ def test_a_step_takes_place_on_a_device_that_has_no_numbers(data: Path, monkeypa
         ({}, None),
         ({"augmentation": Augmentation(corruption=0.1)}, "augmentation.corruption"),
         ({"labels": released_labels()}, "labels.inside"),
-        ({"fusion": "late"}, "fusion"),
     ],
 )
 def test_some_settings_keep_points_with_the_host(changes: dict[str, object], why: str | None) -> None:
-    recipe = recipe_of("late" if "fusion" in changes else "dsrc", **{k: v for k, v in changes.items() if k != "fusion"})
+    recipe = recipe_of(**changes)
     assert reason_for_host(recipe, recipe.settings("student")) == why
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "value"),
+    [
+        ("late", "fusion", "late"),
+        ("attfuse", "height", "ground"),
+        ("attfuse", "own_frame", True),
+        ("attfuse", "left_handed", True),
+        ("attfuse", "intensity_steps", 255),
+    ],
+)
+def test_some_networks_keep_points_with_the_host(method: str, name: str, value: object) -> None:
+    settings: ModelSettings = replace(recipe_of(method).model, **{name: value})
+    assert reason_for_host(recipe_of(method), settings) == name
 
 
 def test_a_training_with_resident_points_ends_with_the_weights_of_the_host(
@@ -235,6 +249,7 @@ def test_a_training_with_resident_points_ends_with_the_weights_of_the_host(
     call = ResidentBatches.__call__
     monkeypatch.setattr(ResidentBatches, "__call__", lambda self, plan: made.append(call(self, plan)) or made[-1])
     monkeypatch.setattr(datamodule, "RESIDENT", ("cpu",))
+    monkeypatch.setattr(datamodule, "free_bytes", lambda _: 10**9)
     caplog.set_level("INFO", "dsrc.training.datamodule")
     found = load_detector(train(recipe, data.parent, tmp_path / "resident", "plain")).state_dict()
     assert len(made) == 2
@@ -252,4 +267,4 @@ def test_points_that_do_not_fit_stay_with_the_host(
     monkeypatch.setattr(datamodule, "free_bytes", lambda _: 200_000)
     caplog.set_level("INFO", "dsrc.training.datamodule")
     assert loaders._on_device(torch.device("cpu")) is None
-    assert "points stay with the host, which takes longer: their 0.0 GB beside 0.0 GB free" in caplog.text
+    assert "points stay with the host: their 0.0 GB beside 0.0 GB free" in caplog.text
