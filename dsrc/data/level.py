@@ -81,7 +81,7 @@ def _lowered(cloud: NDArray[np.float32], ground: Ground, grid: GridSpec, lidar_m
 
 
 def joined(grounds: Sequence[Ground]) -> Ground:
-    """Return the surface of the boxes: that of the first agent that knows any, with what others know where it does not."""
+    """Return the surface of the boxes: that of the first agent that knows any, with what the others know beside it."""
     first = next((ground for ground in grounds if ground.known.any()), grounds[0])
     heights, known = first.heights.copy(), first.known.copy()
     for other in grounds:
