@@ -1,7 +1,7 @@
 """Fleet of a scenario: types, sizes and body models of its road users, as functions of their names and the seed.
 
 In worlds of version 1 a type has one size and a class some models. In those of version 2 every road user has a size of
-its own, and shape, panes, paint or clothes are drawn with it.
+its own, and shape, panes, paint or clothes are drawn with it; actors of encounters keep the sizes of their script.
 """
 
 from dataclasses import dataclass, replace

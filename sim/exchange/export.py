@@ -17,7 +17,8 @@ _MADE = 'date="1970-01-01T00:00:00" vendor="dsrc-testbed"'
 def export(scenario: Scenario, seed: int, out: Path) -> list[Path]:
     """Simulate a seed's traffic over `duration_s` and write it; the same seed writes the same bytes.
 
-    Houses and other static things are not exported; standing vehicles that hide others are.
+    Houses and other static things are not exported, nor is the ground of worlds of version 2: roads have the heights of
+    their network. Standing vehicles that hide others are.
 
     Args:
         out: folder, which gets `NAME_SEED.xosc` and `NAME_SEED.xodr`.

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.boxes import CLASSES
-from sim.encounters import with_encounter
 from sim.geometry import Array
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, DrivableTraffic, Limits, TrafficLight
@@ -100,8 +99,7 @@ def open_standing(scenario: Scenario, seed: int) -> DrivableTraffic:
     """Start the traffic of a scenario, see `sim.traffic.open.open_traffic`, on the ground of its world."""
     if not scenario.uneven:
         return open_traffic(scenario, seed)
-    place = standing(with_encounter(scenario, seed), seed)
-    return StandingTraffic(open_traffic(scenario, seed), place)
+    return StandingTraffic(open_traffic(scenario, seed), standing(scenario, seed))
 
 
 class StandingTraffic(DrivableTraffic):

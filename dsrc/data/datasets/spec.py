@@ -204,6 +204,9 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
         else:
             scenario, about = log_settings(recorded / TRAFFIC_LOG)
             proof = about.get("proof")
+            if in_world(scenario, group.world).uneven != scenario.uneven:
+                expected = f"{2 if scenario.uneven else 1}, on whose ground {recorded} was recorded"
+                raise SettingsError(complaint(where, "world", expected, group.world))
         scenario = with_sensors(scenario, number, lidar, roadside_lidar, group.roadside, group.mount)
         scenario = in_world(scenario, group.world)
         spec = DriveSpec(scenario, seed, frames, **group.shared())

@@ -135,13 +135,13 @@ def _entrance(wall: _Relief, x: float, steps: int) -> None:
 
 
 def _balconies(wall: _Relief, at: Array, deep: float, material: str) -> None:
-    for floor in (STOREY_M,):
-        for x in at:
-            ends = (x + 0.1, x + 2.4)
-            wall.box(ends, (0.0, deep), (floor - 0.05, floor + 0.12), "concrete")
-            wall.box(ends, (deep - 0.06, deep), (floor + 0.12, floor + 1.05), material)
-            for side in ends:
-                wall.box((side - 0.03, side + 0.03), (0.0, deep - 0.06), (floor + 0.12, floor + 1.05), material)
+    floor = STOREY_M
+    for x in at:
+        ends = (x + 0.1, x + 2.4)
+        wall.box(ends, (0.0, deep), (floor - 0.05, floor + 0.12), "concrete")
+        wall.box(ends, (deep - 0.06, deep), (floor + 0.12, floor + 1.05), material)
+        for side in ends:
+            wall.box((side - 0.03, side + 0.03), (0.0, deep - 0.06), (floor + 0.12, floor + 1.05), material)
 
 
 def _awning(wall: _Relief, low: float, high: float, deep: float) -> MeshPart:

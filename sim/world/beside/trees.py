@@ -5,7 +5,7 @@ E. G. McPherson, N. S. van Doorn and P. J. Peper, Urban Tree Database and Allome
 Densities of leaves let a few to thirty per cent of the rays pass a crown, the range of J. Konarska et al.,
 Transmissivity of solar radiation through crowns of single urban trees (Theor. Appl. Climatol. 117, 2014) and Á. Takács
 et al., Transmissivity characteristics of urban trees (Hungarian Geographical Bulletin 65, 2016). Trees at a kerb are
-pruned to 4.8 m over the carriageway and 2.5 m over footways (RASt 06, clearances of 4.5 and 2.5 m).
+pruned to 4.8 m over the carriageway and 2.6 m over footways (RASt 06, clearances of 4.5 and 2.5 m).
 """
 
 from dataclasses import dataclass

@@ -176,6 +176,11 @@ def test_recordings_are_not_replaced_by_drives_nor_by_a_simulation_that_fails(
     with pytest.raises(SettingsError, match="out: expected a folder apart from the recordings"):
         generate_dataset(source, tmp_path / "recorded", cards=False)
     assert tree(tmp_path / "recorded") == before
+    with pytest.raises(SettingsError, match=r"world: expected 1, on whose ground .*quick_0 was recorded, found 2"):
+        generate_dataset(
+            write(tmp_path, source.read_text().replace("seeds = [0, 1]", "seeds = [0, 1]\nworld = 2")), tmp_path / "out"
+        )
+    write(tmp_path, 'recorded = "recorded"\n' + SMALL)
     killed = next(path for path in (tmp_path / "recorded").rglob("*.npz")).parent / ".recording-killed"
     killed.mkdir()
     (killed / "traffic.npz").write_bytes(b"half")
