@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,7 +12,7 @@ from dsrc.detectors.check import check_detector
 from dsrc.detectors.open import detector_sha256, open_detector
 from dsrc.evaluation.find import detect_drives
 from dsrc.evaluation.scoring.read import read_detections
-from dsrc.models.storage.checkpoint import load_detector
+from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.models.storage.export import export_onnx
 from sim.errors import CheckpointError
 from tests.dsrc.evaluation.small import write_detector, write_drives
@@ -40,11 +41,14 @@ def write_points_to_boxes(path: Path, metadata: dict[str, str]) -> Path:
     return path
 
 
-def test_our_export_finds_in_drives_what_the_detector_file_finds(tmp_path: Path) -> None:
+@pytest.mark.parametrize("height", ["sensor", "ground"])
+def test_our_export_finds_in_drives_what_the_detector_file_finds(height: str, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     data = write_drives(tmp_path / "data", drives=1)
-    write_detector(tmp_path / "small.pt", "attfuse")
-    assert export_onnx(load_detector(tmp_path / "small.pt"), tmp_path / "small.onnx") == "any number"
+    detector = load_detector(write_detector(tmp_path / "small.pt", "attfuse"))
+    detector.settings = msgspec.structs.replace(detector.settings, height=height)
+    save_detector(tmp_path / "small.pt", detector, {"seed": 0}, half=False)
+    assert export_onnx(detector, tmp_path / "small.onnx") == "any number"
     found = []
     for name in ("small.pt", "small.onnx"):
         row, (boxes,) = detect_drives(checkpoint=str(tmp_path / name), data=data, out=tmp_path / name[-4:])
