@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from dsrc.models.inputs.batch import collate
 from dsrc.training.datamodule import DetectionData, EpochSampler
 from dsrc.training.module import RateCurve
-from dsrc.training.recipes import RECIPES, debug
+from dsrc.training.recipes import RECIPES, Augmentation, debug
 from tests.dsrc.training.drive import write_drive
 
 
@@ -76,3 +77,19 @@ def test_every_recipe_has_a_grid_that_its_three_scales_divide(name: str) -> None
     assert recipe.name == name
     assert recipe.model.grid.width % 8 == recipe.model.grid.height % 8 == 0
     assert recipe.model.reconstruction_bins % 2 == 0
+
+
+def test_samples_and_batches_of_heights_above_the_ground_stand_on_it(data: Path) -> None:
+    """LiDARs of the drive stand 1.8 m above a plane, which lies 1.9 m below the origin once it is level."""
+    recipe = replace(debug(), validation_share=0.4, augmentation=Augmentation(height_m=0.0))
+    recipe = replace(recipe, model=replace(recipe.model, height="ground"))
+    loaders = DetectionData(recipe, recipe.settings("plain"), [data], None, seed=0)
+    sample = loaders.training[0, 1]
+    seen = collate([loaders.validation[0]], recipe.settings("plain"), training=False)
+    assert len(sample.grounds) == len(sample.clouds)
+    for boxes in (sample.boxes, seen.boxes[0]):
+        assert len(boxes) > 2
+        assert np.median(boxes.center[:, 2] - boxes.size[:, 2] / 2) == pytest.approx(-1.9, abs=0.06)
+    assert seen.student is not None
+    for z in (sample.clouds[0][:, 2], seen.student.points[:, 2].numpy()):
+        assert np.median(z) == pytest.approx(-1.9, abs=0.06)
