@@ -6,7 +6,7 @@ student with the same fusion is the rival: DSRC adds the teacher's clouds and fo
 reconstruction to each of its steps, and nothing to its use. Students of single clouds (`alone`) are steps of the
 campaign's longest phase.
 
-On a GPU batches are made there of points in its memory, as a training makes them (`--no-resident`: by the host). The
+On a GPU batches are made there of points in its memory, as a training makes them (`--resident False`: by the host). The
 same steps end with the share of the time in which it computes and, with `--trace`, with a trace of one step of DSRC for
 chrome://tracing; recipes and random numbers are those of a CPU. `loader_ms` is the CPU time of a loader's process for a
 batch: it reads, draws and collates whole samples, or draws alone.
