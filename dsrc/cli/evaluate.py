@@ -31,14 +31,16 @@ class Detect(Detection, frozen=True, kw_only=True):
         from sim.files import check_apart
 
         check_apart(self.out, self.data)
-        with progress(f"detect in {self.data}") as report:
-            row, places = detect_drives(self, self.pool, report)
         if self.score:
             from rich.console import Console
 
-            from dsrc.evaluation.scoring.sources import score_sources, source_table, write_sources
+            from dsrc.evaluation.scoring.sources import check_names, score_sources, source_table, write_sources
             from dsrc.evaluation.scoring.write import BOXES
 
+            check_names(self.data)
+        with progress(f"detect in {self.data}") as report:
+            row, places = detect_drives(self, self.pool, report)
+        if self.score:
             with progress("score") as report:
                 scores = score_sources(self.out / BOXES, self.data, report)
             write_sources(self.out, scores)

@@ -64,6 +64,15 @@ class SourceScore:
     height_m: float
 
 
+def check_names(tree: Path) -> None:
+    """Check that the drives of a folder differ by name, by which boxes are scored; DataError where they do not."""
+    names = [path.name for path in find_drives(tree)]
+    again = sorted({name for name in names if names.count(name) > 1})
+    if again:
+        hint = "; score one folder after the other"
+        raise DataError(complaint(tree, "drives", "names that differ", f"{again[0]} twice", hint))
+
+
 def score_sources(detections: Path, truth: Path, progress: Progress | None = None) -> list[SourceScore]:
     """Score detections in the labelled frames of drives, all together and by source.
 

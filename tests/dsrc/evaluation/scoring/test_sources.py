@@ -99,6 +99,18 @@ def test_a_log_of_argoverse_is_scored_too(tmp_path: Path) -> None:
     assert one.height_m == pytest.approx(RAISED_M, abs=0.02)
 
 
+def test_drives_of_one_name_are_refused_before_the_work(world: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("one", "other"):
+        kitti_object(world / "twice" / name)
+    write_detector(world / "small.pt", "attfuse")
+    line = ["detect", str(world / "twice"), "--checkpoint", str(world / "small.pt"), "--score"]
+    with pytest.raises(SystemExit) as ended:
+        main([*line, "--out", str(world / "twice_bar")])
+    assert ended.value.code == 2
+    assert "drives: expected names that differ, found training twice" in capsys.readouterr().err
+    assert not (world / "twice_bar").exists()
+
+
 def test_one_command_detects_and_scores(world: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_detector(world / "small.pt", "attfuse")
     line = ["detect", str(world / "data"), "--checkpoint", str(world / "small.pt"), "--score"]
