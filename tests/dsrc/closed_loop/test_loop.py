@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -247,6 +248,19 @@ def test_a_replay_shows_the_same_and_other_eyes_see_something_else(tmp_path: Pat
         assert len(none.tracks) == 0
     braked = min(tick.decision.acceleration_mps2 for tick in log.ticks)
     assert min(tick.decision.acceleration_mps2 for tick in blind.ticks) > braked
+
+
+def test_on_uneven_ground_the_ego_arrives_and_the_log_keeps_how_all_stand(tmp_path: Path) -> None:
+    scenario = msgspec.structs.replace(load_scenario("ima_building"), world=2)
+    loop = ClosedLoop(scenario, TruthPerception())
+    assert loop.run(SEED) is Outcome.ARRIVED
+    log = loop.log(perception="truth")
+    again = EpisodeLog.load(log.save(tmp_path / "log.npz"))
+    ego = [tick.actors[tick.actors.boxes.object_id == loop.ego_id] for tick in again.ticks]
+    assert np.ptp(np.concatenate([one.boxes.center[:, 2] for one in ego])) > 0.5
+    assert max(float(np.abs(one.roll).max()) for one in ego if len(one)) > 0.005
+    for tick, one in zip(log.ticks, again.ticks, strict=True):
+        assert np.array_equal(tick.actors.world_from_body(), one.actors.world_from_body())
 
 
 def test_an_episode_that_has_ended_takes_no_further_step() -> None:
