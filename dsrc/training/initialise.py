@@ -14,7 +14,7 @@ from sim.files import file_sha256
 LOG = logging.getLogger(__name__)
 _SHARED = (
     "grid", "users", "anchor_lwh", "sdd", "pcp", "stage_channels", "shrink_channels", "box_order", "left_handed",
-    "intensity_steps",
+    "intensity_steps", "height",
 )  # fmt: skip
 """Settings in which a teacher equals its student."""
 _FIRST = "encoder.linear.weight"

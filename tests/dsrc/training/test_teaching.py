@@ -74,6 +74,12 @@ def test_a_teacher_of_other_road_users_is_refused(teacher_file: Path) -> None:
         load_teacher(teacher_file, changed(settings, anchor_lwh=(4.0, 2.0, 1.5)))
 
 
+def test_a_teacher_of_other_heights_is_refused(teacher_file: Path) -> None:
+    settings = of_method(tiny(), "dsrc").settings("student")
+    with pytest.raises(CheckpointError, match=r"teacher.pt: height: expected ground as the student's, found sensor"):
+        load_teacher(teacher_file, changed(settings, height="ground"))
+
+
 def test_a_student_can_begin_as_its_teacher_without_the_paint(sample: Sample, teacher_file: Path) -> None:
     settings = of_method(tiny(), "dsrc").settings("student")
     student = Detector(settings).eval()
