@@ -2,8 +2,9 @@
 
 Inputs are the pillars of one sample, as of `dsrc.models.inputs.batch.pillars_of`; outputs are the heads' maps before
 thresholds and suppression. Where the settings say `left_handed`, the network's frame has y to the right, and the caller
-mirrors points and boxes; where they name `intensity_steps`, the caller rounds. Numbers of points and pillars are
-dynamic; that of agents too where the method allows it.
+mirrors points and boxes; where they name `intensity_steps`, the caller rounds; where they say `height` of `ground`, the
+caller levels clouds and puts boxes back. Numbers of points and pillars are dynamic; that of agents too where the method
+allows it.
 """
 
 import importlib.util
