@@ -56,10 +56,11 @@ class Terrain:
         if self.slopes is None or shape.is_empty:
             return shape
         whole = shapely.make_valid(np.array(rings_of(shape)))
-        triangles = shapely.polygons(self.nodes[self.faces, :2])
+        tree = self.slopes.tree if isinstance(self.slopes, Facets) else _tree(self.nodes, self.faces)
         shapely.prepare(whole)
-        of, face = shapely.STRtree(triangles).query(whole, predicate="intersects")
-        parts, inside = triangles[face], shapely.contains(whole[of], triangles[face])
+        of, face = tree.query(whole, predicate="intersects")
+        parts = tree.geometries[face]
+        inside = shapely.contains(whole[of], parts)
         parts[~inside] = shapely.intersection(whole[of][~inside], parts[~inside])
         return shapely.multipolygons([ring for part in parts for ring in rings_of(part)])
 
@@ -114,10 +115,13 @@ class Facets:
     Args:
         nodes: (N, 3) m.
         faces: (F, 3) rows of `nodes`, none upright.
+
+    Attributes:
+        tree: the triangles seen from above.
     """
 
     def __init__(self, nodes: Array, faces: NDArray[np.int64]) -> None:
-        self._tree = shapely.STRtree(shapely.polygons(nodes[faces, :2]))
+        self.tree = _tree(nodes, faces)
         self._corner = nodes[faces[:, 0]]
         edges = nodes[faces[:, 1:]] - self._corner[:, None]
         self._slope = np.linalg.solve(edges[:, :, :2], edges[:, :, 2:])[:, :, 0]
@@ -125,12 +129,17 @@ class Facets:
     def __call__(self, xy: Array) -> Array:
         """Return (N,) heights at (N, 2) positions, beyond all triangles on the plane of the nearest."""
         places = shapely.points(xy)
-        place, face = self._tree.query(places, predicate="intersects")
+        place, face = self.tree.query(places, predicate="intersects")
         below = np.full(len(xy), -1)
         below[place[::-1]] = face[::-1]  # of two on a common edge the first
         lost = np.flatnonzero(below < 0)
-        below[lost] = self._tree.nearest(places[lost])
+        below[lost] = self.tree.nearest(places[lost])
         return self._corner[below, 2] + ((xy - self._corner[below, :2]) * self._slope[below]).sum(axis=1)
+
+
+def _tree(nodes: Array, faces: NDArray[np.int64]) -> shapely.STRtree:
+    """Return the triangles seen from above, by their places."""
+    return shapely.STRtree(shapely.polygons(nodes[faces, :2]))
 
 
 def land_corners(window: Window) -> tuple[Array, Array]:

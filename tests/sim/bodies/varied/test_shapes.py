@@ -29,7 +29,6 @@ def size_of(model: str) -> tuple[float, float, float]:
 
 def cast(mesh: trimesh.Trimesh, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """(N, 3) first points that rays meet, NaN without one, and their materials."""
-    pytest.importorskip("embreex")
     from sensors.raycast import Solid, open_engine
     from sensors.scan.scene import mesh_arrays
 
