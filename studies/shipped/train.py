@@ -1,12 +1,12 @@
 """Trainings of the detectors for real roads: plain and DSRC, alone and with collaborators, on dsrc-sim-2.
 
 Heights are above a fitted ground, cars of any height and sensors of six kinds are seen. All start from the shipped
-detectors' weights: what they know of shapes is kept. The runs follow each other, and each goes on where it was stopped:
+detectors' weights: what they know of shapes is kept. The runs follow each other, and each goes on where it was
+stopped. `--share 0.01` tries them all on a hundredth of the steps; `--list` prints the plan. The data: `dsrc dataset
+build dsrc-sim-2 --out data/dsrc-sim-2`.
 
-    dsrc dataset build dsrc-sim-2 --out data/dsrc-sim-2
+Usage:
     python -m studies.shipped.train --data data/dsrc-sim-2 --out runs/shipped-2
-
-`--share 0.01` tries them all on a hundredth of the steps; `--list` prints the plan.
 """
 
 import argparse
