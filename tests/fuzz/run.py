@@ -32,6 +32,8 @@ TIME_S = 10.0
 """Time that a reader may take, s."""
 LONGEST_LINE = 3000
 
+_SPECIALS = ("pipe", "device", "folder", "nothing", "empty")
+
 
 @dataclass
 class Outcome:
@@ -46,7 +48,7 @@ class Outcome:
 
 
 def fuzz(folder: Path, inputs: int, seed: int, only: str = "") -> Outcome:
-    """Feed what is no file to all readers once, then mutated files in turn.
+    """Feed what is no file to all readers once, of another kind by another seed, then mutated files in turn.
 
     Args:
         folder: empty folder for the files.
@@ -60,9 +62,9 @@ def fuzz(folder: Path, inputs: int, seed: int, only: str = "") -> Outcome:
         with suppress(UserError):  # loads what it needs, once for all processes
             reader.read(reader.path)
     gc.freeze()  # children share the pages
-    for reader in readers:
-        for special in ("pipe", "device", "folder", "nothing", "empty") if reader.is_file else ():
-            _feed_special(reader, special, outcome)
+    for row, reader in enumerate(readers):
+        if reader.is_file:
+            _feed_special(reader, _SPECIALS[(seed + row) % len(_SPECIALS)], outcome)
     for number in range(inputs):
         reader = readers[number % len(readers)]
         original = reader.path.read_bytes()

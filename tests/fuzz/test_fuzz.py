@@ -1,4 +1,4 @@
-"""Some hundred broken files; `make fuzz` takes 3,000, by a new seed."""
+"""A broken file for each reader; `make fuzz` takes 3,000, by a new seed."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def test_files_of_others_are_read_before_they_are_mutated(tmp_path: Path) -> Non
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and limits of Linux")
 def test_no_reader_has_a_stack_trace_or_hangs(tmp_path: Path) -> None:
-    outcome = fuzz(tmp_path, inputs=300, seed=1)
+    outcome = fuzz(tmp_path, inputs=160, seed=1)
     print(outcome)
     assert not outcome.traces and not outcome.hangs, "\n".join([*outcome.hangs, *outcome.traces])
-    assert outcome.inputs > 300
+    assert outcome.inputs > 250

@@ -13,7 +13,7 @@ from sim.roads.osm import keeps_left
 from sim.scenario import AgentRule, DemandSpec, NetworkSpec, Scenario
 from sim.traffic.parking import parked_cars
 from sim.traffic.sumo.traffic import SumoTraffic
-from sim.world.furniture.kerbside import _edges
+from sim.world.furniture.kerbside import street_edges
 from sim.world.roads.streets import read_streets
 
 PLACES = {
@@ -131,7 +131,7 @@ def test_vehicles_and_parked_cars_of_a_british_town_keep_left(tmp_path: Path) ->
     cars = parked_cars(scenario, net, 1)
     streets = read_streets(net, None, 20.0)
     assert {lane.kerb_side for lane in streets.lanes} == {1.0}
-    assert all(side == 1.0 for lane, side in _edges(streets) if lane.index == 0 and lane.opposite)
+    assert all(side == 1.0 for lane, side in street_edges(streets) if lane.index == 0 and lane.opposite)
     mirror = tmp_path / "mirror"
     mirror.mkdir()
     other = converted(mirror, crossing(51.5, 9.0))

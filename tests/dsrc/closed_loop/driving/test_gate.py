@@ -41,15 +41,14 @@ def test_who_only_stands_does_not_pass(condition: str) -> None:
 
 @pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_with_the_truth_every_encounter_and_control_ends_at_the_goal(kind: str) -> None:
-    for seed in range(3):
-        for condition in CONDITIONS:
-            check_encounter(kind, condition, seed)
+    for condition in CONDITIONS:
+        check_encounter(kind, condition, 0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ENCOUNTERS)
 def test_with_the_truth_twenty_seeds_of_each_do(kind: str) -> None:
-    for seed in range(3, 20):
+    for seed in range(1, 20):
         for condition in CONDITIONS:
             check_encounter(kind, condition, seed)
 

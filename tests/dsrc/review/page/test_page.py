@@ -119,7 +119,7 @@ def test_without_labels_nothing_is_judged(
         frame = read(self, i)
         none = np.zeros((0, 2))
         return replace(frame, truth=empty, velocity=none, acceleration=none, signals=np.zeros(0, np.int32), lane=(),
-                       points_on=frame.points_on[:, :0], visible_fraction=frame.visible_fraction[:, :0])  # fmt: skip
+                       points_on=frame.points_on[:, :0], visible_fraction=frame.visible_fraction[:, :0], tilt=none)  # fmt: skip
 
     monkeypatch.setattr(type(drive), "read", unlabelled)
     monkeypatch.setattr(type(detector), "detect", lambda self, sample: ghosts())

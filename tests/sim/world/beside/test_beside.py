@@ -17,7 +17,7 @@ from sim.world.ground import streets_of as scenario_streets
 from sim.world.roads.streets import Streets
 from tests.sim.roads.places import at_hand
 
-PLACES = ("four_way", "rilsa_1", "motorway_a10")
+PLACES = ("four_way", "rilsa_1", pytest.param("motorway_a10", marks=pytest.mark.slow))
 
 
 def furnished(name: str) -> Scenario:

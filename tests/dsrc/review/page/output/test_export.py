@@ -71,7 +71,7 @@ def without_labels(frame: Frame) -> Frame:
     return replace(
         frame, truth=frame.truth[none], velocity=frame.velocity[none], points_on=frame.points_on[:, none],
         acceleration=frame.acceleration[none], signals=frame.signals[none], lane=(),
-        visible_fraction=frame.visible_fraction[:, none],
+        visible_fraction=frame.visible_fraction[:, none], tilt=frame.tilt[none],
     )  # fmt: skip
 
 
