@@ -118,8 +118,17 @@ def test_without_labels_nothing_is_judged(
     def unlabelled(self: FakeDrive, i: int) -> Frame:
         frame = read(self, i)
         none = np.zeros((0, 2))
-        return replace(frame, truth=empty, velocity=none, acceleration=none, signals=np.zeros(0, np.int32), lane=(),
-                       points_on=frame.points_on[:, :0], visible_fraction=frame.visible_fraction[:, :0], tilt=none)  # fmt: skip
+        return replace(
+            frame,
+            truth=empty,
+            velocity=none,
+            acceleration=none,
+            tilt=none,
+            signals=np.zeros(0, np.int32),
+            lane=(),
+            points_on=frame.points_on[:, :0],
+            visible_fraction=frame.visible_fraction[:, :0],
+        )
 
     monkeypatch.setattr(type(drive), "read", unlabelled)
     monkeypatch.setattr(type(detector), "detect", lambda self, sample: ghosts())
