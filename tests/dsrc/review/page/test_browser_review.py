@@ -79,10 +79,12 @@ def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: li
                 page.send("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=300, **move)
             page.send("Input.dispatchMouseEvent", type="mouseReleased", x=420, y=300, **move)
             wait_for(lambda: np.linalg.norm(np.array(left.client.camera.position) - before) > 2.0)
-            time.sleep(1.5)
-            for name in ("position", "look_at"):
+
+            def same(name: str) -> bool:
                 one, other = (np.array(getattr(cell.client.camera, name)) for cell in (left, right))
-                np.testing.assert_allclose(one, other, atol=0.01)
+                return bool(np.allclose(one, other, rtol=0.0, atol=0.01))
+
+            wait_for(lambda: same("position") and same("look_at"), 30.0)
             left.update(frame=6)
             wait_for(lambda: right.view.index == 6)
             wait_for(lambda: "frame%3D6" in page.evaluate("location.search"))
