@@ -167,9 +167,16 @@ def _read(path: Path, kind: type[Document]) -> Document:
 def _drives(run: Path, option: str, given: Path | None, recorded: str | None) -> list[Path]:
     """List the drives of the given or else the recorded folder."""
     folder = given or (Path(recorded) if recorded else None)
-    if folder is None or not folder.exists():
+    if folder is None or not _is_there(folder):
         raise DataError(complaint(run, option, "the folder of its drives", folder, f"; say where it is: --{option}"))
     return list_drives(folder)
+
+
+def _is_there(folder: Path) -> bool:
+    try:
+        return folder.exists()
+    except OSError:  # a name too long for the system
+        return False
 
 
 def _same(name: str, recorded: object, found: object) -> Comparison:
