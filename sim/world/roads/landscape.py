@@ -3,9 +3,10 @@
 A street is level across, apart from its crown: its height is that of the relief along its axis. Beside it the land goes
 over into the relief, as an embankment or a cutting. A network with heights of its own keeps them.
 
-Sources: cross-fall of 2.5 % and embankments 1 : 1.5 and flatter, RASt 06 and RAL (FGSV); ditches, RAS-Ew (FGSV), as
-wide as five times their depth; roughness of ground, random roughness of tilled and grown soil, 6 to 40 mm (Zobeck and
-Onstad, Tillage and random roughness effects on surface storage, 1987).
+Values as these sources are commonly quoted; their texts were not at hand: cross-fall of 2.5 % and embankments 1 : 1.5
+and flatter, RASt 06 and RAL (FGSV); ditches, RAS-Ew (FGSV), as wide as five times their depth; roughness of ground,
+random roughness of tilled and grown soil, 6 to 40 mm (Zobeck and Onstad, Tillage and random roughness effects on
+surface storage, 1987).
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,9 @@
 """Relief: seeded smooth heights of the land, no steeper and no more curved than the streets of real places.
 
-Bounds: RASt 06 (FGSV, Richtlinien für die Anlage von Stadtstraßen) allows streets of a town 8 %, 12 % where the land
-asks for it, and crests of 250 m radius; RAA (FGSV, Richtlinien für die Anlage von Autobahnen) motorways 4 to 6 % and
-3,000 m. A Policy on Geometric Design of Highways and Streets (AASHTO) has like values: up to 15 % on local streets, 3
-to 6 % on freeways.
+Bounds, as these sources are commonly quoted; their texts were not at hand: RASt 06 (FGSV, Richtlinien für die Anlage
+von Stadtstraßen) allows streets of a town 8 %, 12 % where the land asks for it, and crests of 250 m radius; RAA (FGSV,
+Richtlinien für die Anlage von Autobahnen) motorways 4 to 6 % and 3,000 m. A Policy on Geometric Design of Highways and
+Streets (AASHTO) has like values: up to 15 % on local streets, 3 to 6 % on freeways.
 """
 
 from dataclasses import dataclass
