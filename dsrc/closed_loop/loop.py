@@ -327,6 +327,7 @@ class ClosedLoop:
             percept = self._clock.percept(before, now, claims)
         if self._clock.failure:
             self.outcome, self.message = Outcome.PERCEPTION_FAILED, self._clock.failure
+        percept = shown(self.driver, percept)
         with self._timed("track"):
             others = None if percept is None else without_ego(percept, self._ego_at(percept.time_s, ego))
             tracks = self._tracker.update(others, now.time_s)
@@ -371,6 +372,18 @@ class ClosedLoop:
         began = time.perf_counter()
         yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - began
+
+
+def shown(driver: Driver, percept: Percept | None) -> Percept | None:
+    """Return a percept without its seen space, which a driver that looks at it has seen then, see `SeeingDriver`.
+
+    Sweeps of a whole episode would not fit into memory.
+    """
+    if percept is None or percept.seen is None:
+        return percept
+    if (see := getattr(driver, "see", None)) is not None:
+        see(percept.seen)
+    return replace(percept, seen=None)
 
 
 def checked_percept(percept: Percept, now_s: float) -> Percept:

@@ -11,7 +11,7 @@ from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import without_ego
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.loop import LoopSettings, PerceptionClock
+from dsrc.closed_loop.loop import LoopSettings, PerceptionClock, shown
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Decision, Driver, Outcome, Perception, Tick
 
@@ -34,7 +34,7 @@ def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | 
     for tick in log.ticks:
         if settings.ego_id not in tick.actors.boxes.object_id:
             break
-        percept = clock.percept(before, tick.actors, tick.claims)
+        percept = shown(driver, clock.percept(before, tick.actors, tick.claims))
         if clock.failure:
             outcome, message = Outcome.PERCEPTION_FAILED, clock.failure
             break

@@ -7,6 +7,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.closed_loop.seen_space import SeenSpace
 from sim.boxes import Boxes
 from sim.contact import Contact
 from sim.radio import Link
@@ -25,6 +26,7 @@ class Percept:
         score: (N,) confidence, 0 to 1.
         velocity: (N, 2) measured velocity, m/s; NaN where it is not measured.
         links: receptions of the helpers' messages.
+        seen: seen space; None of a perception without sweeps, in logs, and once the driver has seen it.
     """
 
     time_s: float
@@ -32,6 +34,7 @@ class Percept:
     score: NDArray[np.float64]
     velocity: NDArray[np.float64]
     links: tuple[Link, ...] = ()
+    seen: SeenSpace | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,6 +185,34 @@ class LaneMap(Protocol):
         """
         ...
 
+    def conflicts(self, path: NDArray[np.float64]) -> tuple["ConflictLane", ...]:
+        """Return the lanes that cross a path or merge into it.
+
+        Args:
+            path: (K, 3) x, y, m, heading, rad, of a road user's centre, from where it is, at steps of 1 m or less.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConflictLane:
+    """Lane that crosses a path or merges into it, with the lanes that lead to it; several where those fork.
+
+    Attributes:
+        line: (K, 3) centre line x, y, m, heading, rad, in the direction of travel, points about 1 m apart, from 150
+            m before the lane meets the path, or from its beginning.
+        speed_mps: (K,) limits along it, m/s.
+        meets: row of the line where it first comes onto the path.
+        gives_way: its drivers must give way at the junction where it does, by signs.
+        signal: that junction has traffic lights.
+    """
+
+    line: NDArray[np.float64]
+    speed_mps: NDArray[np.float64]
+    meets: int
+    gives_way: bool
+    signal: bool
+
 
 class Driver(Protocol):
     """Driver: from the ego's own state and its tracks to an acceleration."""
@@ -196,4 +227,12 @@ class Driver(Protocol):
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return the decision for the next step."""
+        ...
+
+
+class SeeingDriver(Driver, Protocol):
+    """Driver that also looks at the seen space."""
+
+    def see(self, seen: SeenSpace) -> None:
+        """Take the seen space of a percept that has arrived; `decide` follows."""
         ...

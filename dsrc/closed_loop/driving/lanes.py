@@ -1,13 +1,13 @@
 """Lanes ahead of road users: of a SUMO network, or of the ego's own route where there is no map."""
 
 import math
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from dsrc.closed_loop.driving.path import STEP_M, Path
-from dsrc.closed_loop.types import LaneMap
+from dsrc.closed_loop.types import ConflictLane, LaneMap
 from sim.encounters import network_file
 from sim.geometry import Array
 from sim.roads.network import Lane as RoadLane
@@ -25,6 +25,13 @@ _NEAREST = 16
 _AHEAD_M = 200.0
 _LENGTH_M = 10.0
 _FORKS = 4
+_MEETS_M = 1.6
+"""Distance of a lane's centre from a path, from which on it meets it: half of a narrow lane, m."""
+_BEHIND_M = 3.0
+"""Part of a path on which the lane is found that it begins on, m."""
+_UPSTREAM_M, _BEYOND_M = 150.0, 30.0
+_MINOR = "mswy"
+"""States of SUMO's connections without lights whose drivers give way: minor, stop, all-way stop, yield."""
 
 
 class RouteLanes:
@@ -60,6 +67,10 @@ class RouteLanes:
             else:
                 found.append(())
         return [tuple(line for line in lines if len(line) > 1) for lines in found]
+
+    def conflicts(self, path: Array) -> tuple[ConflictLane, ...]:
+        """Return no lane: a route alone tells none."""
+        return ()
 
 
 class NetworkLanes:
@@ -99,6 +110,77 @@ class NetworkLanes:
             best[of].setdefault(self._of[place], self._at[place])
         lengths = (_LENGTH_M * np.ceil((length_m + 2.0) / _LENGTH_M)).tolist()
         return [self._cut(tuple(places.items()), length) for places, length in zip(best, lengths, strict=True)]
+
+    def conflicts(self, path: Array) -> tuple[ConflictLane, ...]:
+        """Return the lanes that meet a path, see `LaneMap.conflicts`; those that leave it, and its own, are none."""
+        rows = np.unique(np.concatenate(self._tree.query_ball_point(path[:, :2], _MEETS_M))).astype(np.int64)
+        if not len(rows):
+            return ()
+        points = self._tree.data[rows]
+        nearest = np.hypot(*(points[:, None] - path[:, :2]).transpose(2, 0, 1)).argmin(axis=1)
+        along = np.cos(self._heading[rows] - path[nearest, 2]) > _DIRECTION
+        ahead_m = _along(path)[nearest]
+        met: dict[int, int] = {}
+        for row, same_way, there_m in zip(rows.tolist(), along.tolist(), ahead_m.tolist(), strict=True):
+            lane, at = self._of[row], self._at[row]
+            if lane in met:
+                continue
+            own = same_way and (at == 0 or there_m < _BEHIND_M)
+            met[lane] = -1 if own else at
+        return tuple(way for lane, at in met.items() if at >= 0 for way in self._ways_to(lane, at))
+
+    @lru_cache(maxsize=10_000)  # noqa: B019  maps are few, and cached themselves
+    def _ways_to(self, number: int, at: int) -> tuple[ConflictLane, ...]:
+        """Return the ways on which a station of a lane is reached."""
+        name, line = self._names[number], self.lines[number]
+        onward = self._onward(name, _BEYOND_M - (len(line) - at))[0]
+        found = []
+        for way in self._upstream(name, _UPSTREAM_M - at):
+            names = [*way, name, *onward]
+            points = np.concatenate([self.lines[self._number[one]][1 if k else 0 :] for k, one in enumerate(names)])
+            speeds = [self._lanes[one].getSpeed() for one in names]
+            counts = [len(self.lines[self._number[one]]) - (1 if k else 0) for k, one in enumerate(names)]
+            meets = sum(counts[: len(way)]) + at - (1 if way else 0)
+            first = max(meets - round(_UPSTREAM_M / LANE_STEP_M), 0)
+            gives_way, signal = self._rule(way[-1], name) if way else (False, False)
+            found.append(
+                ConflictLane(
+                    line=np.column_stack([points[first:, :2], np.unwrap(points[first:, 2])]),
+                    speed_mps=np.repeat(np.array(speeds, np.float64), counts)[first:],
+                    meets=meets - first,
+                    gives_way=gives_way,
+                    signal=signal,
+                )
+            )
+        return tuple(found)
+
+    def _upstream(self, name: str, left_m: float) -> list[list[str]]:
+        """Return the sequences of lanes that lead to a lane, farthest first."""
+        if left_m <= 0.0:
+            return [[]]
+        ways: list[list[str]] = []
+        for before in self._before.get(name, ()):
+            length = LANE_STEP_M * len(self.lines[self._number[before]])
+            ways += [[*rest, before] for rest in self._upstream(before, left_m - length)]
+            if len(ways) >= _FORKS:
+                break
+        return ways or [[]]
+
+    @cached_property
+    def _before(self) -> dict[str, tuple[str, ...]]:
+        """Names of the lanes that lead to each lane."""
+        found: dict[str, list[str]] = {}
+        for name in self._names:
+            for onward in self._next(name):
+                found.setdefault(onward, []).append(name)
+        return {name: tuple(before) for name, before in found.items()}
+
+    def _rule(self, before: str, name: str) -> tuple[bool, bool]:
+        """Return whether who drives from one lane to the next gives way by signs, and whether there are lights."""
+        links = self._lanes[before].getOutgoing()
+        states = [link.getState() for link in links if name in (link.getViaLaneID(), link.getToLane().getID())]
+        signal = self._lanes[before].getEdge().getToNode().getType().startswith("traffic_light")
+        return not signal and any(state in _MINOR for state in states), signal
 
     @lru_cache(maxsize=100_000)  # noqa: B019  maps are few, and cached themselves
     def _cut(self, places: tuple[tuple[int, int], ...], length_m: float) -> tuple[Array, ...]:

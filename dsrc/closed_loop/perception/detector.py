@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dsrc.closed_loop.perception.senses import Senses
+from dsrc.closed_loop.seen_space import SeenSpace, seen_of
 from dsrc.closed_loop.types import Percept
 from dsrc.data.sample import Sample, SampleDetector, make_sample
 from dsrc.models.channel import Receiver
@@ -117,7 +118,17 @@ class DetectorPerception:
             score=found.score.astype(np.float64),
             velocity=np.full((len(boxes), 2), np.nan),
             links=links,
+            seen=self._seen(sample, links),
         )
+
+    def _seen(self, sample: Sample, links: tuple[Link, ...]) -> SeenSpace:
+        """Return the seen space by the sweeps that arrived, each where it is believed to be measured."""
+        own = self._past[0].agent(self._ego_id)
+        sent = {link.sender: self._past[self.senses.index - link.sent] for link in links if link.received}
+        world_from_ego = own.sweep.world_from_lidar @ invert(sample.ego_from_agent[0])
+        helpers = zip(sample.agent_ids[1:], sample.ego_from_agent[1:], strict=True)
+        told = [(sent[agent_id].agent(agent_id), world_from_ego @ pose) for agent_id, pose in helpers]
+        return seen_of([(own, None), *told])
 
 
 def _shift_m(speed_mps: float, look_ahead_s: float, reach_m: float) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.perception.senses import Senses
+from dsrc.closed_loop.seen_space import SeenSpace, View, seen_of
 from dsrc.closed_loop.types import Percept
 from sensors.corruptions import Condition
 from sensors.recording.encounter_check import UNSEEN_POINTS
@@ -34,7 +35,8 @@ class TruthPerception:
         """Return all other actors within reach, with their ids and velocities."""
         ego = now.boxes.center[now.row(self._ego_id), :2]
         near = np.linalg.norm(now.boxes.center[:, :2] - ego, axis=1) <= self.reach_m
-        return _percept(now, near & (now.boxes.object_id != self._ego_id))
+        view = View.everything(self._ego_id, now.time_s, ego, self.reach_m)
+        return _percept(now, near & (now.boxes.object_id != self._ego_id), SeenSpace([lambda: view]))
 
 
 class SightPerception(TruthPerception):
@@ -60,10 +62,11 @@ class SightPerception(TruthPerception):
         near = super().perceive(before, now, claims)
         frame = self._senses.frame(before, now, {})
         seen = frame.truth.object_id[frame.points_on[0] >= self.least_points]
-        return _percept(now, np.isin(now.boxes.object_id, np.intersect1d(near.boxes.object_id, seen)))
+        rows = np.isin(now.boxes.object_id, np.intersect1d(near.boxes.object_id, seen))
+        return _percept(now, rows, seen_of([(agent, None) for agent in frame.agents]))
 
 
-def _percept(now: Actors, rows: NDArray[np.bool_]) -> Percept:
+def _percept(now: Actors, rows: NDArray[np.bool_], seen: SeenSpace) -> Percept:
     """Return some actors as they are."""
     boxes = now.boxes[rows]
-    return Percept(now.time_s, boxes, np.ones(len(boxes)), now.velocity[rows].copy())
+    return Percept(now.time_s, boxes, np.ones(len(boxes)), now.velocity[rows].copy(), seen=seen)

@@ -6,7 +6,7 @@ import pytest
 from dsrc.closed_loop.driving.lanes import NetworkLanes, RouteLanes
 from dsrc.closed_loop.driving.path import path_of
 from dsrc.closed_loop.driving.prediction import predict
-from dsrc.closed_loop.types import Tracks
+from dsrc.closed_loop.types import ConflictLane, Tracks
 from sim.boxes import CLASSES, Boxes
 from sim.catalog.load import load_scenario
 from sim.roads.networks import read_network, resolve_network
@@ -17,6 +17,9 @@ class NoLanes:
 
     def ahead(self, pose: np.ndarray, length_m: np.ndarray) -> list[tuple[np.ndarray, ...]]:
         return [()] * len(pose)
+
+    def conflicts(self, path: np.ndarray) -> tuple[ConflictLane, ...]:
+        return ()
 
 
 def track(
