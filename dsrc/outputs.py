@@ -15,7 +15,7 @@ _MARKS = {
     "data": (
         b'# {"',
         b"scenario,perception,",
-        b'classname="dsrc.stress"',
+        b'classname="dsrc.',
         b"SHA-256 of the drives: `",
         b'"dsrc error model',
         b"Driven by `dsrc drive`",

@@ -2,9 +2,10 @@
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from tyro.conf import arg
 
 from dsrc.cli.progress import log_lines, made, progress
 from dsrc.cli.toml_files import require_kind
@@ -18,12 +19,12 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
 
     A campaign drives scenarios x perceptions x corruptions x channels x seeds, resumes when it was interrupted, and
     writes results.csv, tables, plots and a log of every episode. The log of an episode in place of a scenario shows
-    the same traffic to another perception. A critical value is where the outcome of one episode flips.
+    the same traffic to another perception. A critical value is where the outcome of one episode flips. Conditions and a
+    baseline are for CI: exit with 1 where a condition fails.
 
     Examples:
         dsrc drive lta_truck --perception truth sight ego team --seed 0 1 2
-        dsrc drive ima_queue --perception team --corruption fog --severity 4 --out runs/fog
-        dsrc drive lta_truck --perception team --critical loss
+        dsrc drive ima_queue --perception team --out runs/queue --fail-under "crashed<=5%" --junit queue.xml
 
     Attributes:
         out: folder of results and logs; default: results are printed only.
@@ -34,6 +35,14 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             markers for, or all at its end if it has none; default: none.
         critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
             episode flips; default: none.
+        fail_under: conditions, [PERCEPTION:] QUANTITY SIGN NUMBER, such as crashed<=5% or "team: pdms>=0.8": exit with
+            1 where one fails for a perception. Quantities are shares of episodes (crashed, at_fault, arrived, stuck,
+            timeout, left, lost, failed), means of the metrics in results.csv, and with a baseline the numbers of
+            episodes fixed and broken; default: none.
+        baseline: results.csv of an earlier run, or its folder, whose episodes of equal settings and seed are compared
+            with these; default: none.
+        junit: JUnit's XML, a test case for each condition and episode; with conditions these alone can fail; default:
+            none.
         view: show one episode in the browser as it is driven, and go on showing it until interrupted.
         verbose: also say which engine runs the networks, and why.
     """
@@ -42,6 +51,9 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     reuse: tuple[Path, ...] = ()
     docs: File | None = None
     critical: Literal["severity", "delay_s", "loss"] | None = None
+    fail_under: tuple[str, ...] = ()
+    baseline: Annotated[Path, arg(metavar="RESULTS.csv|FOLDER")] | None = None
+    junit: File | None = None
     view: bool = False
     verbose: bool = False
     pool: Pool = Pool()
@@ -83,7 +95,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         }
         asked = next((why for why, given in asks.items() if given), None)
         if asked:
-            given = [name for name in ("docs", "reuse") if getattr(self, name)]
+            given = [name for name in ("docs", "reuse", "fail_under", "baseline", "junit") if getattr(self, name)]
             given += ["workers"] if self.pool != Pool() else []
             given += ["out"] if self.critical is not None and self.out is not None else []
             if given:
@@ -118,11 +130,20 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             run_campaign,
             take_episodes,
         )
+        from dsrc.closed_loop.report.baseline import read_baseline
+        from dsrc.closed_loop.report.conditions import check_conditions
+        from dsrc.closed_loop.report.gate import Gate, campaign_junit
         from dsrc.closed_loop.report.report import check_publication, publish_report, write_report
         from dsrc.closed_loop.report.terminal import summary_table
         from dsrc.runs.lock import locked
+        from sim.files import check_output, write_file
 
         plan, folders = campaign_of(self), [one for one in self.reuse if one.is_dir()]
+        baseline = None if self.baseline is None else read_baseline(self.baseline)
+        names = [one.name for one in plan.perceptions]
+        conditions = check_conditions(self.fail_under, names, baseline is not None)
+        if self.junit is not None:
+            check_output(self.junit)
         known = read_results(one for one in self.reuse if not one.is_dir())
         if self.out is not None:
             if self.docs is not None:
@@ -147,16 +168,22 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             )
         with progress(f"drive {plan.name}") as report:
             result = run_campaign(plan, out, self.pool, report, known)
+        gate = Gate.of(result, conditions, baseline)
         console = Console(highlight=False)
-        console.print(summary_table(result))
+        console.print(summary_table(result), *gate.tables())
+        if self.junit is not None:
+            write_file(self.junit, campaign_junit(result, gate))
         if self.out is not None:
-            places = list(write_report(result, out))
+            places = list(write_report(result, out, gate))
             if self.docs is not None:
-                places += [publish_report(result, out, self.docs), self.docs]
+                places += [publish_report(result, out, self.docs, gate), self.docs]
             if any((out / "episodes").glob("*.npz")):
                 made(places, "results, tables and logs of episodes", "view", out, new=episodes > 0)
             else:  # all results are of an earlier run
                 made(places, "results and tables")
+        if failed := [one for one in gate.verdicts if not one.holds]:
+            sys.stderr.write(f"{len(failed)} of {len(gate.verdicts)} conditions fail\n")
+            raise SystemExit(1)
 
     def _watch(self) -> None:
         """Drive one episode before the eyes of a page; its log goes to `out`."""

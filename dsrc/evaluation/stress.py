@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -37,6 +36,7 @@ from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import WIDTH_IN, figure_style, panels, styles_of, write_figure
 from dsrc.tables.files import csv_text, json_text
+from dsrc.tables.junit import Case, Suite, junit_xml
 from dsrc.tables.table import Column, Table, TableRow
 from sensors.corruptions import Condition
 from sim.errors import SettingsError, complaint
@@ -372,17 +372,14 @@ def junit(found: Stress, fail_under: float | None) -> bytes:
     Args:
         fail_under: least AP, 0 to 1; None for no failures.
     """
-    failed = [row for row in found.rows if fails(row, fail_under)]
-    suite = ElementTree.Element(
-        "testsuite", name=f"dsrc stress {found.name}", tests=str(len(found.rows)), failures=str(len(failed))
-    )
+    cases = []
     for row in found.rows:
         name = f"{row.corruption} {row.severity} {row.who}".strip() if row.severity else CLEAN
-        case = ElementTree.SubElement(suite, "testcase", classname="dsrc.stress", name=name)
-        ElementTree.SubElement(case, "system-out").text = f"AP@{IOU:g} {_span(row)}"
-        if row in failed:
-            ElementTree.SubElement(case, "failure", message=f"AP@{IOU:g} {row.ap:.4f} is below {fail_under:g}")
-    return ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True)
+        failed = fail_under is not None and fails(row, fail_under)
+        why = f"AP@{IOU:g} {row.ap:.4f} is below {fail_under:g}" if failed else ""
+        cases.append(Case("dsrc.stress", name, "failure" if why else "passed", why, f"AP@{IOU:g} {_span(row)}"))
+    name = f"dsrc stress {found.name}"
+    return junit_xml(name, [Suite(name, tuple(cases))])
 
 
 def fails(row: StressRow, fail_under: float | None) -> bool:

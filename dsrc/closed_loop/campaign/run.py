@@ -166,8 +166,12 @@ def results_csv(results: Iterable[EpisodeResult]) -> str:
     return csv_text(rows, [*_COLUMNS, *metrics])
 
 
-def read_results(paths: Iterable[Path]) -> dict[str, EpisodeResult]:
+def read_results(paths: Iterable[Path], whole: bool = True, field: str = "reuse") -> dict[str, EpisodeResult]:
     """Return the results of results.csv, controls.csv or careful.csv of other runs by key, with six digits each.
+
+    Args:
+        whole: every metric of today must be there; without it those of another version of the code may be missing.
+        field: option that names the files.
 
     Raises:
         DataError: a file is none of these, one line names its line and field; two results of one key differ.
@@ -175,12 +179,13 @@ def read_results(paths: Iterable[Path]) -> dict[str, EpisodeResult]:
     found: dict[str, EpisodeResult] = {}
     for path in paths:
         if not path.exists():
-            raise DataError(complaint(path, "reuse", "a folder of a campaign, or its results.csv", "nothing there"))
+            raise DataError(complaint(path, field, "a folder of a campaign, or its results.csv", "nothing there"))
         text = read_text(path, "results.csv")
         with parsing(path, "results.csv"):
             rows = list(csv.reader(io.StringIO(text)))
         heads = rows[0] if rows else []
-        if lacking := [name for name in (*_COLUMNS, *EpisodeMetrics.__struct_fields__) if name not in heads]:
+        needed = (*_COLUMNS, *EpisodeMetrics.__struct_fields__) if whole else _COLUMNS
+        if lacking := [name for name in needed if name not in heads]:
             raise DataError(complaint(path, "columns", "those of results.csv", f"none named {lacking[0]}"))
         for number, row in enumerate(rows[1:], start=2):
             where = f"result {number - 1}"

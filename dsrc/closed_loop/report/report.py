@@ -11,6 +11,7 @@ import msgspec
 from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.metrics.comparison import Result
+from dsrc.closed_loop.report.gate import GATE_NAMES, NO_GATE, Gate
 from dsrc.closed_loop.report.tables import NAMES, parts_of, tables
 from dsrc.runs.provenance import provenance
 from dsrc.tables.document import Section, check_document, publish
@@ -30,7 +31,7 @@ _PICTURES = {
 """Captions of the plots, by name."""
 
 
-def write_report(result: CampaignResult, out: Path) -> list[Path]:
+def write_report(result: CampaignResult, out: Path, gate: Gate = NO_GATE) -> list[Path]:
     """Write report.md and its plots into the folder of a campaign; return the paths, and that of its results."""
     from dsrc.tables.figure import write_figure
 
@@ -43,7 +44,7 @@ def write_report(result: CampaignResult, out: Path) -> list[Path]:
     for name in _PICTURES.keys() - plots.keys():
         (out / f"{name}.png").unlink(missing_ok=True)  # of a run before
     report = out / "report.md"
-    write_file(report, markdown(result))
+    write_file(report, markdown(result, gate))
     return [report, *pictures, out / "results.csv"]
 
 
@@ -56,7 +57,7 @@ def check_publication(plan: Campaign, document: Path) -> None:
     check_document(document, plan.name, (*NAMES, *_PICTURES))
 
 
-def publish_report(result: CampaignResult, out: Path, document: Path) -> Path:
+def publish_report(result: CampaignResult, out: Path, document: Path, gate: Gate = NO_GATE) -> Path:
     """Write the tables and plots of a campaign between their markers in a document, their files beside it.
 
     Args:
@@ -69,14 +70,14 @@ def publish_report(result: CampaignResult, out: Path, document: Path) -> Path:
     Raises:
         DataError: the document is no text, or a begin marker has no end.
     """
-    found = sections(result)
+    found = sections(result, gate)
     absent = [name for name in (*NAMES, *_PICTURES) if name not in {section.name for section in found}]
     files = ["report.md", "results.csv", *(f"{name}.png" for name in _plots(result))]
     files += [f"{name}.csv" for name in ("controls", "careful") if getattr(result, name)]
     return publish(found, out, document, result.plan.name, files, absent)
 
 
-def markdown(result: CampaignResult) -> str:
+def markdown(result: CampaignResult, gate: Gate = NO_GATE) -> str:
     """Return the report of a campaign."""
     driven = {
         what: sorted({one.seed for one in result.results if (one.corruption == CLEAN) == clean})
@@ -84,7 +85,7 @@ def markdown(result: CampaignResult) -> str:
     }
     seeds = ", ".join(f"{_seeds(listed)} {what}" for what, listed in driven.items() if listed)
     parts = [f"# {result.plan.name}", f"Driven by `dsrc drive`: {len(result.results)} episodes, seeds {seeds}."]
-    for section in sections(result):
+    for section in sections(result, gate):
         title = "" if section.picture else f"## {section.about}\n\n"
         parts.append(f"{title}{section.markdown(Path()).strip()}")
     return "\n\n".join(parts) + "\n"
@@ -95,11 +96,12 @@ def _seeds(listed: Sequence[int]) -> str:
     return f"{listed[0]} to {listed[-1]}" if whole and len(listed) > 2 else " ".join(map(str, listed))
 
 
-def sections(result: CampaignResult) -> list[Section]:
+def sections(result: CampaignResult, gate: Gate = NO_GATE) -> list[Section]:
     """Return the tables and plots of a campaign as sections of a document, in the order of the report."""
-    found = [Section(name, replace(one, title="").markdown(), about=one.title) for name, one in tables(result).items()]
+    every = tables(result, gate)
+    found = [Section(name, replace(one, title="").markdown(), about=one.title) for name, one in every.items()]
     plots = [Section(name, picture=f"{name}.png", about=_PICTURES[name]) for name in _plots(result)]
-    first = sum(section.name in ("conditions", "apart") for section in found)
+    first = sum(section.name in (*GATE_NAMES, "conditions", "apart") for section in found)
     return [*found[:first], *plots, *found[first:]]
 
 

@@ -24,11 +24,13 @@ from dsrc.closed_loop.metrics.comparison import (
 from dsrc.closed_loop.metrics.statistics import PairedRates, paired_rates, rate
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR
 from dsrc.closed_loop.report.cells import COLUMNS, condition, condition_cells, groups, percent, share
+from dsrc.closed_loop.report.gate import GATE_NAMES, NO_GATE, Gate
 from dsrc.closed_loop.types import Outcome
 from dsrc.tables.table import Column, Strong, Table, TableRow
 from sensors.corruptions import CLEAN
 
 NAMES = {
+    **GATE_NAMES,
     "conditions": "All scenarios",
     "apart": "Without a class",
     "crashed": "Crashed",
@@ -57,12 +59,13 @@ _PAIRED = (
 )
 
 
-def tables(result: CampaignResult) -> dict[str, Table]:
-    """Tables that a campaign has results for, by name."""
+def tables(result: CampaignResult, gate: Gate = NO_GATE) -> dict[str, Table]:
+    """Tables that a campaign has results for, by name, those of its gate first."""
     common, apart = parts_of(result)
     first = result.plan.radios[0]
     of_first = [[one for one in part if one.channel == first] for part in (common, apart)]
     found = [
+        *gate.tables(),
         _all_scenarios(result, common),
         _apart(result, apart),
         _crashed(of_first[0]),
