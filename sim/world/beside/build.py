@@ -16,7 +16,7 @@ from sim.mesh.solids import MeshPart, move
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.world.beside import posts
-from sim.world.beside.edges import Edge, Places, edges_of, scatter
+from sim.world.beside.edges import Edge, Places, edges_of, scatter, yielding
 from sim.world.beside.facades import relief
 from sim.world.beside.fences import HEIGHT_M, THICK_M, fence
 from sim.world.beside.ground import Ground
@@ -30,9 +30,12 @@ from sim.world.roads.streets import Streets
 
 _FROM_CORNER_M = 6.0
 _AROUND_CORNER_M = 12.0
-_SIGHT_M, _LOW_M = 8.0, (0.6, 0.85)
-"""Beside the ends of streets and at kerbs boundaries are low, m: sight fields are free above 0.8 m (RASt 06,
-6.3.9.3)."""
+_SIGHT_M, _LOW_M = 12.0, (0.6, 0.85)
+"""Near where drivers yield, and at the kerb near crossings, boundaries are low, m: sight fields are free above 0.8 m
+(RASt 06, 6.3.9.3)."""
+
+_FRONT_M, _FRONT_REACH_M, _LEAST_FRONT_M = 1.05, 30.0, 1.5
+"""Distance of the middle of a boundary from the paved ground, that of the farthest street and shortest front, m."""
 
 _OVER_ROAD_M, _OVER_WALK_M = 4.8, 2.6
 _VARIANTS = 4
@@ -134,43 +137,82 @@ def _map_barriers(rng: np.random.Generator, map_objects: MapObjects, ground: Gro
 
 def _boundaries(rng: np.random.Generator, edges: list[Edge], density: float, ground: Ground) -> list[MeshPart]:
     """Return hedges, rows of shrubs, fences and walls along the plots, around the corners of streets too."""
-    shapes = _shrub_shapes(rng)
+    shapes, yields = _shrub_shapes(rng), yielding(ground.streets)
     parts: list[MeshPart] = []
-    for edge in edges:
-        line = edge.beside(edge.plot_m + float(rng.uniform(0.5, 0.9)), _AROUND_CORNER_M)
-        for kind, piece, low in _plots(rng, line, edge, edge.density.boundary, density):
+    for piece, edge in _fronts(rng, edges, ground):
+        kind = _drawn(rng, edge.density.boundary, density)
+        if kind is not None:
+            low = bool(shapely.dwithin(yields, piece, _SIGHT_M))
             parts += _boundary(rng, kind, piece, low, shapes, ground)
     return parts
+
+
+def _fronts(rng: np.random.Generator, edges: list[Edge], ground: Ground) -> list[tuple[shapely.LineString, Edge]]:
+    """Return the fronts of plots and the edges that they lie at: around all paved ground, off it along fast roads."""
+    found: list[tuple[shapely.LineString, Edge]] = []
+    for edge in edges:
+        if edge.fast:
+            line = edge.beside(edge.plot_m + _FRONT_M, _AROUND_CORNER_M)
+            found += [(piece, edge) for piece in _plots(rng, line)]
+    if not edges:
+        return found
+    paved = shapely.union_all([ground.road, ground.walk]) & ground.fine
+    around = paved.buffer(_FRONT_M, quad_segs=2).simplify(0.1).boundary & ground.fine.buffer(-_FRONT_M - 0.1)
+    around -= _street_ends(ground.streets)
+    lines = shapely.get_parts(shapely.line_merge(around))
+    pieces = [piece for line in lines for piece in _plots(rng, line)]
+    near = shapely.STRtree([edge.line for edge in edges])
+    for piece in pieces:
+        row = near.query_nearest(piece.centroid, max_distance=_FRONT_REACH_M, all_matches=False)
+        if len(row) and not edges[row[0]].fast:
+            found.append((piece, edges[row[0]]))
+    return found
+
+
+def _street_ends(streets: Streets) -> shapely.Geometry:
+    """Return the ground ahead of the ends of lanes: the end of a lane in the network is not that of its street."""
+    ahead = []
+    for lane in streets.lanes:
+        for end, before in ((lane.line[0], lane.line[1]), (lane.line[-1], lane.line[-2])):
+            way = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
+            ahead.append(shapely.LineString([end, end + 3.0 * _FRONT_M * way]).buffer(0.5 * lane.width + _FRONT_M))
+    return shapely.union_all(ahead)
 
 
 def _kerbs(rng: np.random.Generator, edges: list[Edge], density: float, ground: Ground) -> list[MeshPart]:
     """Return low hedges, shrubs and railings between the kerb and the pavement."""
     shapes = _shrub_shapes(rng)
+    crossed = [shapely.LineString(lane.line) for lane in ground.streets.lanes if lane.kind == "crossing"]
+    sight = shapely.union_all([yielding(ground.streets), *crossed])
     parts: list[MeshPart] = []
     for edge in edges:
-        for kind, piece, low in _plots(rng, edge.line, edge, edge.density.kerb, density):
-            aside = edge.kerb_m + (-0.35 if kind == "railing" else 0.1)
-            kerb = shapely.LineString(offset(np.asarray(piece.coords), edge.side * aside))
-            parts += _boundary(rng, kind, kerb, low, shapes, ground, at_kerb=True)
+        for piece in _plots(rng, edge.line):
+            kind = _drawn(rng, edge.density.kerb, density)
+            if kind is not None:
+                aside = edge.kerb_m + (-0.35 if kind == "railing" else 0.1)
+                kerb = shapely.LineString(offset(np.asarray(piece.coords), edge.side * aside))
+                low = bool(shapely.dwithin(sight, kerb, _SIGHT_M))
+                parts += _boundary(rng, kind, kerb, low, shapes, ground, at_kerb=True)
     return parts
 
 
-def _plots(
-    rng: np.random.Generator, line: shapely.LineString, edge: Edge, share_of: dict[str, float], density: float
-) -> list[tuple[str, shapely.LineString, bool]]:
-    """Return the kind of each bounded plot along a line, its front, and whether it lies at a corner."""
+def _plots(rng: np.random.Generator, line: shapely.LineString) -> list[shapely.LineString]:
+    """Return the fronts of the plots along a line, with gaps for doors and drives between them."""
+    found, at = [], 0.0
+    while at < line.length - _LEAST_FRONT_M:
+        end = min(at + float(rng.uniform(6.0, 18.0)), line.length)
+        found.append(substring(line, at, end))
+        at = end + float(rng.uniform(0.5, 1.6))
+    return found
+
+
+def _drawn(rng: np.random.Generator, share_of: dict[str, float], density: float) -> str | None:
+    """Return a kind by the shares of all, None for the rest."""
     kinds = list(share_of)
     shares = density * np.array([share_of[kind] for kind in kinds])
     bounds = np.cumsum(shares / max(1.0, float(shares.sum())))
-    found, at = [], 0.0
-    while at < line.length - 3.0:
-        end = min(at + float(rng.uniform(6.0, 18.0)), line.length)
-        row = int(np.searchsorted(bounds, rng.uniform(), side="right"))
-        if row < len(kinds):
-            corner = 0.0 if edge.signal else _AROUND_CORNER_M + _SIGHT_M
-            found.append((kinds[row], substring(line, at, end), at < corner or end > line.length - corner))
-        at = end + float(rng.uniform(0.5, 1.6))
-    return found
+    row = int(np.searchsorted(bounds, rng.uniform(), side="right"))
+    return kinds[row] if row < len(kinds) else None
 
 
 def _boundary(

@@ -28,7 +28,7 @@ class Edge:
         kerb_m: from the line to the place of posts, m.
         plot_m: from the line to the boundary of the plots, m.
         kind: of place.
-        signal: traffic lights stand at its end.
+        fast: it has guard rails in place of kerbs.
     """
 
     line: shapely.LineString
@@ -36,7 +36,7 @@ class Edge:
     kerb_m: float
     plot_m: float
     kind: Kind
-    signal: bool
+    fast: bool
 
     @property
     def density(self) -> Density:
@@ -80,10 +80,15 @@ def edges_of(streets: Streets, houses: shapely.Geometry) -> list[Edge]:
                 half + verge + 0.6,
                 plot + (0.0 if town else _BEHIND_RAIL_M if at_kerb else _MEDIAN_M),
                 kind,
-                lane.stop == "signal",
+                not town,
             )
         )
     return found
+
+
+def yielding(streets: Streets) -> shapely.Geometry:
+    """Return the points where drivers yield."""
+    return shapely.MultiPoint([lane.line[-1] for lane in streets.lanes if lane.stop == "yield"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
