@@ -14,13 +14,22 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from dsrc.training.recipes import RECIPES, Recipe, Stage, of_method, override
 from dsrc.training.train import train
 
 SHIPPED = Path(__file__).resolve().parents[2] / "dsrc" / "checkpoints"
-FRAMES = 500
-"""Frames of an epoch, drawn anew for each, in steps of two."""
-SETTINGS = ("height=ground", "augmentation.height_m=0.15", "augmentation.thinning=0.3", "ema=0.998", "bfloat16=true")
+BATCH = 4
+FRAMES = 1000
+"""Frames of an epoch, drawn anew for each."""
+SETTINGS = (
+    "height=ground",
+    "augmentation.height_m=0.15",
+    "augmentation.thinning=0.3",
+    "ema=0.998",
+    f"batch_size={BATCH}",
+)
 """Changes of the recipe `small`; lifts are errors of the fitted ground, thinning stands for sensors of fewer beams."""
 
 
@@ -33,7 +42,7 @@ class Run:
         method: see `dsrc model train --method`.
         stage: `plain`, `teacher` or `student`.
         start: name of the run, or of the shipped detector, whose weights it starts from.
-        steps: of two frames.
+        steps: of `BATCH` frames.
         rate: peak learning rate.
         teacher: name of the run that teaches it; "" for none.
     """
@@ -46,12 +55,13 @@ class Run:
     rate: float
     teacher: str = ""
 
-    def recipe(self, share: float = 1.0) -> Recipe:
-        """Return its recipe, with a share of its steps."""
-        steps = max(round(self.steps * share), 1)
-        frames = min(FRAMES, 2 * steps)
-        size = (f"epochs={max(2 * steps // frames, 1)}", f"epoch_frames={frames}", f"learning_rate={self.rate}")
-        return override(of_method(RECIPES["small"](), self.method), (*SETTINGS, *size))
+    def recipe(self, share: float = 1.0, workers: int = 1) -> Recipe:
+        """Return its recipe, with a share of its steps; convolutions in bfloat16 where there is a GPU."""
+        drawn = BATCH * max(round(self.steps * share), 1)
+        frames = min(FRAMES, drawn)
+        size = (f"epochs={max(drawn // frames, 1)}", f"epoch_frames={frames}", f"learning_rate={self.rate}")
+        machine = (f"workers={workers}", f"bfloat16={str(torch.cuda.is_available()).lower()}")
+        return override(of_method(RECIPES["small"](), self.method), (*SETTINGS, *size, *machine))
 
 
 PLAN = (
@@ -79,6 +89,7 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0, help="share of the steps, to try the plan")
     parser.add_argument("--only", nargs="+", choices=[run.name for run in PLAN], help="runs; default: all")
     parser.add_argument("--list", action="store_true", help="print the plan and train nothing")
+    parser.add_argument("--workers", type=int, default=1, help="processes that prepare batches")
     options = parser.parse_args()
     for run in PLAN:
         if options.only and run.name not in options.only:
@@ -88,7 +99,7 @@ def main() -> None:
             continue
         begun = time.monotonic()
         train(
-            run.recipe(options.share),
+            run.recipe(options.share, options.workers),
             options.data / "train",
             options.out / run.name,
             run.stage,

@@ -1,6 +1,6 @@
 """Trainings for real roads: runs follow their starts and teachers, and the recipes read heights above the ground."""
 
-from studies.shipped.train import PLAN, SHIPPED
+from studies.shipped.train import BATCH, PLAN, SHIPPED
 
 
 def test_every_run_comes_after_what_it_starts_from_and_is_taught_by() -> None:
@@ -14,9 +14,10 @@ def test_recipes_are_of_heights_above_the_ground_and_of_their_steps() -> None:
     for run in PLAN:
         recipe = run.recipe()
         assert recipe.model.height == "ground" and recipe.settings(run.stage).height == "ground"
-        assert recipe.epoch_frames is not None and recipe.epochs * recipe.epoch_frames == 2 * run.steps
+        assert recipe.epoch_frames is not None and recipe.batch_size == BATCH
+        assert recipe.epochs * recipe.epoch_frames == BATCH * run.steps
         tried = run.recipe(0.001)
-        assert tried.epoch_frames is not None and tried.epochs * tried.epoch_frames <= 2 * max(run.steps // 500, 1)
+        assert tried.epoch_frames is not None and tried.epochs * tried.epoch_frames <= BATCH * max(run.steps // 500, 1)
 
 
 def test_dsrc_differs_from_plain_by_its_teacher_alone() -> None:
