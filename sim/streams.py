@@ -62,6 +62,8 @@ class Stream(Enum):
     RADIO_COLLISIONS = "child", 5, "instant or reservation, sender"
     RADIO_POSITION = "child", 6, "sender, instant (none where the error is correlated in time)"
     RADIO_LOSSES = "child", 7, "instant, sender, receiver"
+    RADIO_BURSTS = "child", 21, "instant, sender, receiver"
+    RADIO_JITTER = "child", 22, "instant, sender, receiver"
     # Training, lists of the training's own seed
     TRAINING_ORDER = "list", 1, "epoch"
     TRAINING_AUGMENTATION = "list", 2, "epoch, frame"

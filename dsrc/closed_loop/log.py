@@ -46,6 +46,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         loop: further numbers of the loop: durations, intervals, latency, s.
         route_m: distance from the start to the goal, m; None where the traffic has no goal.
         versions: versions of the packages that can change a number.
+        fault: faults beside corruption and channel, see `dsrc.faults.fault`; "" without any.
     """
 
     scenario: Scenario
@@ -63,6 +64,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     loop: dict[str, float] = {}
     route_m: float | None = None
     versions: dict[str, str] = {}
+    fault: str = ""
 
     @property
     def condition(self) -> Condition:
@@ -114,7 +116,11 @@ class EpisodeLog:
         """Write the log as a .npz, atomically; equal logs give equal bytes."""
         path = Path(path)
         claims = sorted({name for tick in self.ticks for name in tick.claims})
-        about = _About(settings=self.settings, outcome=self.outcome, message=self.message, claims=tuple(claims))
+        about = msgspec.to_builtins(
+            _About(settings=self.settings, outcome=self.outcome, message=self.message, claims=tuple(claims))
+        )
+        if not self.settings.fault:
+            del about["settings"]["fault"]
         columns = {
             "episode": np.array(VERSION),
             "about": np.array(msgspec.json.encode(about, order="sorted").decode()),

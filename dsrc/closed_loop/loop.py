@@ -22,6 +22,7 @@ from dsrc.closed_loop.encounter import lost_encounter
 from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Decision, Driver, EgoState, Outcome, Percept, Perception, Tick
+from dsrc.faults.fault import Faults, faults_text
 from sensors.recording.encounter_check import CONFLICT_ID, with_proven_encounter
 from sensors.recording.static_scene import solid_world
 from sim.catalog.load import load_scenario
@@ -165,6 +166,7 @@ class ClosedLoop:
         self.perception = perception
         self.driver = driver or PlanningDriver()
         self.settings = _agreed(perception, settings or LoopSettings())
+        self._faults: Faults = getattr(perception, "faults", ())
         self.ticks: list[Tick] = []
         self.outcome: Outcome | None = None
         self.message = ""
@@ -299,7 +301,7 @@ class ClosedLoop:
 
         Args:
             names: further fields of `EpisodeSettings`: perception, detector, driver, corruption, severity, family,
-                who, channel, engine (else that of the perception), versions.
+                who, channel, engine and fault (else those of the perception), versions.
         """
         if self.outcome is None:
             raise TrafficError("expected an episode that has ended, found a running one")
@@ -309,7 +311,7 @@ class ClosedLoop:
             ego_id=self.ego_id,
             loop=msgspec.to_builtins(self.settings),
             route_m=self._route_m,
-            **{"engine": getattr(self.perception, "engine", "fused"), **names},
+            **{"engine": getattr(self.perception, "engine", "fused"), "fault": faults_text(self._faults), **names},
         )
         return EpisodeLog(settings, self._first, self.ticks, self.outcome, self.message)
 

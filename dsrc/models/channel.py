@@ -38,6 +38,7 @@ class Receiver:
     Args:
         settings: settings of the detector, which decide the messages, see `payload_of`.
         joined: settings of detectors joined to it, whose maps or objects travel in the same messages.
+        faulted: settings of the channel by instant and sender, see `sim.radio.Channel`.
     """
 
     def __init__(
@@ -47,8 +48,9 @@ class Receiver:
         interval_s: float,
         settings: DetectorSettings,
         joined: Sequence[DetectorSettings] = (),
+        faulted: Callable[[int, int], ChannelSpec] | None = None,
     ) -> None:
-        self.channel = Channel(spec, seed, interval_s)
+        self.channel = Channel(spec, seed, interval_s, faulted)
         self._fusion = fusion_of(settings)
         # One cloud is for all of them.
         parts = [payload_of(one, spec) for one in (settings, *(() if self._fusion == "early" else joined))]
@@ -103,7 +105,8 @@ class Receiver:
 
     def _believed_pose(self, sender: AgentFrame, time_s: float, index: int) -> NDArray[np.float64]:
         """Return the sender's believed world_from_lidar (4, 4); the same array without any error."""
-        spec, channel = self.channel.spec, self.channel
+        channel = self.channel
+        spec = channel.sent_with(index, sender.agent_id)
         pose = sender.sweep.world_from_lidar
         ahead_s = channel.clock_error_s(sender.agent_id)
         if ahead_s != 0.0 and sender.kind == "vehicle":
@@ -115,7 +118,7 @@ class Receiver:
 
     def _pose_error(self, sender: AgentFrame, time_s: float, index: int) -> NDArray[np.float64]:
         """Return believed_from_true (4, 4) in the sender's body frame, constant for a roadside unit."""
-        spec, still = self.channel.spec, sender.kind != "vehicle"
+        spec, still = self.channel.sent_with(index, sender.agent_id), sender.kind != "vehicle"
         steady = still or spec.error_correlation_s > 0.0
         keys = (sender.agent_id,) if steady else (sender.agent_id, index)
         rng = random_generator(self.channel.seed, Stream.RADIO_POSITION, *keys)

@@ -30,6 +30,9 @@ class DriveOptions(msgspec.Struct, frozen=True):
         loss: share of packets lost, 0 to 1, such as 0.3; default: the channel's.
         delay_s: delay of messages, s; default: the channel's.
         pose_error: pose error of the helpers, m and deg; default: the channel's.
+        fault: faults, each text in episodes of its own: a corruption with its severity, or what is wrong with a sensor,
+            the radio and so on, with its numbers, time and agents, as in 'fog:3 from 4 s to 9 s on helpers'; several at
+            once with plus signs between them; default: none.
         seed: seeds of the episodes, one each; default: 0.
         engine: execution of the network, see dsrc evaluate; auto is bf16 where the processor computes it and the
             detector is as good in it, else fused.
@@ -52,6 +55,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     loss: float | None = None
     delay_s: float | None = None
     pose_error: float | None = None
+    fault: Annotated[tuple[str, ...], arg(metavar="FAULT [...]")] = ()
     seed: tuple[int, ...] = ()
     engine: AutoEngine = "auto"
     driver: Literal["planning", "careful"] | None = None

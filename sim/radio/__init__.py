@@ -13,6 +13,8 @@ An abstract model at 5.9 GHz, one link budget per message and one draw per packe
    A packet is received when the power is above the noise by `snr_db`: on average with the probability
    Phi((P - PL - threshold) / sigma). The split into halves is assumed; the average does not depend on it.
 4. Packets are also lost by collisions, in proportion to the load.
+5. Packets are lost for any other reason at random (`packet_loss`), and in bursts in which a link is down: a chain of
+   two states (Gilbert 1960; Elliott 1963), down for `burst_s` on average and for a share `burst_loss` of the time.
 
 Every draw is a function of the seed, the link and the number of the instant, whatever the order of calls.
 """
@@ -27,9 +29,20 @@ from sim.radio.budget import (
     path_loss_db,
 )
 from sim.radio.channel import LEAST_SHARE, MAX_AGE, Channel, Link, RadioSnapshot
-from sim.radio.spec import HEARING_M, IDEAL, PRESETS, ChannelSpec, Obstruction, Radio, get_channel
+from sim.radio.spec import (
+    CHANGES,
+    HEARING_M,
+    IDEAL,
+    PRESETS,
+    ChannelSpec,
+    Obstruction,
+    Radio,
+    changed_spec,
+    get_channel,
+)
 
 __all__ = [
+    "CHANGES",
     "Channel",
     "ChannelSpec",
     "HEARING_M",
@@ -42,6 +55,7 @@ __all__ = [
     "Radio",
     "RadioSnapshot",
     "airtime_s",
+    "changed_spec",
     "cpm_bytes",
     "delivery_probability",
     "get_channel",

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -103,17 +103,23 @@ class Channel:
 
     Args:
         interval_s: time between instants, s.
+        faulted: (number of an instant, sender) -> settings of the messages that it sends then, which differ from `spec`
+            in what `CHANGES` names; None: always those of `spec`.
 
     Raises:
         SettingsError: an interval that is not positive.
         DataError: a trace that cannot be read.
     """
 
-    def __init__(self, spec: ChannelSpec, seed: int, interval_s: float) -> None:
+    def __init__(
+        self, spec: ChannelSpec, seed: int, interval_s: float, faulted: Callable[[int, int], ChannelSpec] | None = None
+    ) -> None:
         if not (math.isfinite(interval_s) and interval_s > 0.0):
             raise SettingsError(complaint("channel", "interval_s", "a positive time", interval_s))
         self.spec, self.seed, self.interval_s = spec, int(seed), float(interval_s)
+        self.sent_with = faulted or (lambda index, sender: spec)
         self._trace = read_trace(spec.trace) if spec.medium == "trace" else None
+        self._bursts: dict[tuple[int, int, float, float], list[bool]] = {}
 
     def link(self, instant: RadioSnapshot, sender: int, receiver: int) -> Link:
         """Return the reception of the message that a sender sends at an instant; see `newest` for later use.
@@ -129,10 +135,11 @@ class Channel:
         size = self._on_air(instant.bytes[rows[0]])
         packets = packet_count(self.spec, size)
         load, stride, others_s = self._load(instant, rows[0])
-        probability, delay, loss = 1.0, self.spec.delay_s, 0.0
+        spec = self.sent_with(instant.index, sender)
+        probability, delay, loss = 1.0, spec.delay_s, 0.0
         arrived = np.ones(packets, bool)
         if self.spec.medium in ("csma", "sps"):
-            probability = delivery_probability(self.spec, distance, sight)
+            probability = delivery_probability(spec, distance, sight)
             arrived = self._received(sender, receiver, instant.index, place, distance, sight, packets)
             arrived &= ~self._collided(sender, instant.index, packets, load)
             delay += self._access_s(sender, instant.index, others_s) + message_airtime_s(self.spec, size)
@@ -140,12 +147,21 @@ class Channel:
             delay, loss = self._trace.at(instant.index * self.interval_s, sender, receiver)
             probability = 1.0 - loss
             arrived = self._rng(Stream.RADIO_PACKETS, instant.index, sender, receiver).random(packets) >= loss
-        if self.spec.packet_loss:
-            probability *= 1.0 - self.spec.packet_loss
+        if spec.packet_loss:
+            probability *= 1.0 - spec.packet_loss
             rng = self._rng(Stream.RADIO_LOSSES, instant.index, sender, receiver)
-            arrived &= rng.random(packets) >= self.spec.packet_loss
+            arrived &= rng.random(packets) >= spec.packet_loss
+        if spec.burst_loss:
+            probability *= 1.0 - spec.burst_loss
+            arrived &= not self._down(spec, sender, receiver, instant.index)
+        if spec.jitter_s:
+            delay += spec.jitter_s * float(
+                self._rng(Stream.RADIO_JITTER, instant.index, sender, receiver).standard_exponential()
+            )
+        if spec.message_hz is not None:
+            stride = max(stride, math.ceil(1.0 / (spec.message_hz * self.interval_s) - 1e-9))
         held = instant.index % stride != self._phase(sender, stride)
-        if held or distance > self.spec.range_m:
+        if held or distance > spec.range_m:
             arrived = np.zeros(packets, bool)
         received = float(arrived.mean()) >= LEAST_SHARE
         return Link(
@@ -172,6 +188,7 @@ class Channel:
             sender: id of an agent now.
         """
         now = instants[0].index
+        longest_s = self.sent_with(now, sender).longest_age_s
         first = None
         for instant in islice(instants, MAX_AGE + 1):  # not a slice: instants may be made lazily
             if sender not in instant.agent_ids or receiver not in instant.agent_ids:
@@ -179,6 +196,8 @@ class Channel:
             link = self.link(instant, sender, receiver)
             first = first or link
             age_s = (now - instant.index) * self.interval_s
+            if longest_s is not None and age_s > longest_s + 1e-9:
+                break
             if link.received and link.delay_s <= age_s + 1e-9:
                 return dataclasses.replace(link, age_s=age_s, held=first.held, offered=first.bytes)
         if first is None:
@@ -247,6 +266,16 @@ class Channel:
             reservation = index // _RESERVED
             return np.full(packets, self._rng(Stream.RADIO_COLLISIONS, reservation, sender).random() < share)
         return self._rng(Stream.RADIO_COLLISIONS, index, sender).random(packets) < share
+
+    def _down(self, spec: ChannelSpec, sender: int, receiver: int, index: int) -> bool:
+        """Return whether a link is down in an instant: a chain from the drive's first instant on, whenever asked."""
+        ends = min(1.0, self.interval_s / spec.burst_s)
+        begins = min(1.0, ends * spec.burst_loss / (1.0 - spec.burst_loss))
+        known = self._bursts.setdefault((sender, receiver, ends, begins), [])
+        while len(known) <= index:
+            draw = float(self._rng(Stream.RADIO_BURSTS, len(known), sender, receiver).random())
+            known.append(draw < (spec.burst_loss if not known else 1.0 - ends if known[-1] else begins))
+        return known[index]
 
     def _rng(self, stream: Stream, *keys: int) -> np.random.Generator:
         return random_generator(self.seed, stream, *keys)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from math import inf
@@ -20,6 +21,10 @@ from sim.scenario import NonNegative, Positive
 IDEAL = "ideal"
 HEARING_M = 500.0
 """Carrier sense range: agents within it count for the channel load, m."""
+
+
+_LATER = ("burst_loss", "burst_s", "jitter_s", "message_hz", "longest_age_s")
+"""Settings that channels once had not."""
 
 
 class Obstruction(IntEnum):
@@ -56,6 +61,11 @@ class ChannelSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         error_correlation_s: correlation time of the pose error; 0: independent in every instant.
         clock_error_s: standard deviation of the senders' clocks, s.
         trace: CSV file of `trace`.
+        burst_loss: share of the time in which a link is down and loses all packets.
+        burst_s: mean length of such a burst, s.
+        jitter_s: mean of a further delay of each message, exponentially distributed, s.
+        message_hz: largest rate at which a sender sends; None: at every instant.
+        longest_age_s: age up to which a message is used, s; None: any.
     """
 
     name: str
@@ -79,11 +89,19 @@ class ChannelSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     error_correlation_s: NonNegative = 0.0
     clock_error_s: NonNegative = 0.0
     trace: str = ""
+    burst_loss: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.0
+    burst_s: Positive = 0.5
+    jitter_s: NonNegative = 0.0
+    message_hz: Positive | None = None
+    longest_age_s: Positive | None = None
 
     def decisive(self) -> dict[str, Any]:
         """Return what decides the deliveries, of plain values: parts of keys; of a trace the hash of its file."""
         settings = msgspec.to_builtins(self)
         del settings["name"]
+        for one in msgspec.structs.fields(self):
+            if one.name in _LATER and settings[one.name] == one.default:  # keys of kept results stay
+                del settings[one.name]
         return {**settings, "trace": file_sha256(Path(self.trace))} if self.trace else settings
 
 
@@ -126,7 +144,20 @@ PRESETS: dict[str, ChannelSpec] = {
 }
 
 
-_CHANGES = re.compile(r"^(?P<channel>.*?)(?P<changes>(,(loss|delay_s|pose_error)=[^,]*)*)$", re.DOTALL)
+CHANGES: dict[str, tuple[tuple[str, ...], float, float]] = {
+    "loss": (("packet_loss",), 0.0, 1.0),
+    "delay_s": (("delay_s",), 0.0, inf),
+    "pose_error": (("position_error_m", "heading_error_deg"), 0.0, inf),
+    "burst_loss": (("burst_loss",), 0.0, 0.99),
+    "burst_s": (("burst_s",), 0.01, inf),
+    "jitter_s": (("jitter_s",), 0.0, inf),
+    "message_hz": (("message_hz",), 0.01, inf),
+    "range_m": (("range_m",), 0.1, inf),
+    "longest_age_s": (("longest_age_s",), 0.01, inf),
+}
+"""What may be changed of a channel: the fields of `ChannelSpec` that take the value, its least and its largest."""
+
+_CHANGES = re.compile(rf"^(?P<channel>.*?)(?P<changes>(,({'|'.join(CHANGES)})=[^,]*)*)$", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,12 +169,19 @@ class Radio:
         loss: probability of packet loss, 0 to 1.
         delay_s: latency from measurement to sending, s.
         pose_error: standard deviation of a sender's own position, m, and heading, degrees.
+        burst_loss, burst_s, jitter_s, message_hz, range_m, longest_age_s: see `ChannelSpec`.
     """
 
     channel: str = IDEAL
     loss: float | None = None
     delay_s: float | None = None
     pose_error: float | None = None
+    burst_loss: float | None = None
+    burst_s: float | None = None
+    jitter_s: float | None = None
+    message_hz: float | None = None
+    range_m: float | None = None
+    longest_age_s: float | None = None
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -160,20 +198,26 @@ class Radio:
         except ValueError:
             raise SettingsError(complaint("channel", "changes", "numbers", text)) from None
 
-    def changed(self, loss: float | None = None, delay_s: float | None = None, pose_error: float | None = None) -> Self:
-        """Return the radio with other changes; None keeps its own."""
-        return dataclasses.replace(
-            self,
-            loss=self.loss if loss is None else loss,
-            delay_s=self.delay_s if delay_s is None else delay_s,
-            pose_error=self.pose_error if pose_error is None else pose_error,
-        )
+    @property
+    def changes(self) -> dict[str, float]:
+        """What is changed, by name."""
+        return {name: value for name in CHANGES if (value := getattr(self, name)) is not None}
+
+    def changed(
+        self, loss: float | None = None, delay_s: float | None = None, pose_error: float | None = None, **more: float
+    ) -> Self:
+        """Return the radio with other changes; None keeps its own.
+
+        Args:
+            more: further fields.
+        """
+        given: dict[str, Any] = {"loss": loss, "delay_s": delay_s, "pose_error": pose_error, **more}
+        return dataclasses.replace(self, **{name: value for name, value in given.items() if value is not None})
 
     @property
     def label(self) -> str:
         """Name in plans, tables and files, which `parse` reads."""
-        values = (("loss", self.loss), ("delay_s", self.delay_s), ("pose_error", self.pose_error))
-        return self.channel + "".join(f",{name}={value:g}" for name, value in values if value is not None)
+        return self.channel + "".join(f",{name}={value:g}" for name, value in self.changes.items())
 
     def spec(self) -> ChannelSpec:
         """Return the settings of the channel, the changes included.
@@ -182,18 +226,20 @@ class Radio:
             SettingsError: the preset is unknown, a trace is without its file, or a value out of its range.
             DataError: the trace cannot be read.
         """
-        spec = _preset(self.channel)
-        for field in ("loss", "delay_s", "pose_error"):
-            value, most = getattr(self, field), 1.0 if field == "loss" else inf
-            if value is not None and not 0.0 <= value <= most:
-                raise SettingsError(complaint("channel", field, f"0 to {most:g}", f"{value:g}"))
-        if self.pose_error is not None:
-            spec = replace(spec, position_error_m=self.pose_error, heading_error_deg=self.pose_error)
-        if self.delay_s is not None:
-            spec = replace(spec, delay_s=self.delay_s)
-        if self.loss is not None:
-            spec = replace(spec, packet_loss=self.loss)
+        spec = changed_spec(_preset(self.channel), self.changes)
         return spec if self.label == self.channel else replace(spec, name=self.label)
+
+
+def changed_spec(spec: ChannelSpec, changes: Mapping[str, float]) -> ChannelSpec:
+    """Return settings of a channel with changes, by the names of `CHANGES`; SettingsError for one out of its range."""
+    for name, value in changes.items():
+        fields, least, most = CHANGES[name]
+        if not least <= value <= most:
+            expected = f"{least:g} to {most:g}"
+            raise SettingsError(complaint("channel", name, expected, f"{value:g}"))
+        given: dict[str, Any] = dict.fromkeys(fields, value)
+        spec = replace(spec, **given)
+    return spec
 
 
 def get_channel(name: str) -> ChannelSpec:

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from sim.errors import DataError, SettingsError
 from sim.radio import (
+    CHANGES,
     PRESETS,
     Channel,
     ChannelSpec,
@@ -18,6 +19,7 @@ from sim.radio import (
     Radio,
     RadioSnapshot,
     airtime_s,
+    changed_spec,
     cpm_bytes,
     delivery_probability,
     get_channel,
@@ -276,7 +278,10 @@ def test_who_waits_for_its_turn_puts_nothing_on_air() -> None:
     assert not any(Channel(PRESETS["ideal"], 1, 0.1).link(at(n, places), 1, 0).held for n in range(9))
 
 
-@pytest.mark.parametrize("radio", [Radio(), Radio("c-v2x", loss=0.3), Radio("paper", 0.0, 0.2, 0.4)])
+EVERY = Radio("its-g5-6", **{name: 0.5 for name in CHANGES})
+
+
+@pytest.mark.parametrize("radio", [Radio(), Radio("c-v2x", loss=0.3), Radio("paper", 0.0, 0.2, 0.4), EVERY])
 def test_the_label_of_a_radio_is_read_back(radio: Radio) -> None:
     assert Radio.parse(radio.label) == radio
 
@@ -291,3 +296,50 @@ def test_lost_packets_need_no_trace() -> None:
 def test_a_wrong_change_of_a_channel_is_refused(text: str) -> None:
     with pytest.raises(SettingsError, match="channel"):
         get_channel(text)
+
+
+def received(channel: Channel, count: int = 400, far_m: float = 20.0) -> list[bool]:
+    places = [(0.0, 0.0), (far_m, 0.0)]
+    return [channel.link(at(n, places, 1_000), 1, 0).received for n in range(count)]
+
+
+def test_bursts_take_their_share_of_the_time_in_runs_of_their_length() -> None:
+    spec = changed_spec(PRESETS["ideal"], {"burst_loss": 0.3, "burst_s": 1.0})
+    there = received(Channel(spec, 3, 0.1), 20_000)
+    lost = 1.0 - np.mean(there)
+    runs = np.diff(np.flatnonzero(np.diff([True, *there, True])))[::2]
+    assert lost == pytest.approx(0.3, abs=0.05) and np.mean(runs) == pytest.approx(10.0, rel=0.15)
+    backwards = Channel(spec, 3, 0.1)
+    places = [(0.0, 0.0), (20.0, 0.0)]
+    assert [backwards.link(at(n, places), 1, 0).received for n in range(99, -1, -1)] == there[99::-1]
+
+
+def test_jitter_delays_by_its_mean_and_never_comes_early() -> None:
+    channel = Channel(changed_spec(PRESETS["ideal"], {"jitter_s": 0.2, "delay_s": 0.1}), 1, 0.1)
+    places = [(0.0, 0.0), (20.0, 0.0)]
+    delays = [channel.link(at(n, places), 1, 0).delay_s for n in range(2_000)]
+    assert min(delays) >= 0.1 and np.mean(delays) == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_rate_of_2_hz_is_every_fifth_instant_and_a_range_is_an_end() -> None:
+    there = np.flatnonzero(received(Channel(changed_spec(PRESETS["ideal"], {"message_hz": 2.0}), 1, 0.1), 50))
+    assert len(there) == 10 and set(np.diff(there)) == {5}
+    near = Channel(changed_spec(PRESETS["ideal"], {"range_m": 15.0}), 1, 0.1)
+    assert not any(received(near, 5)) and all(received(near, 5, far_m=14.0))
+
+
+def test_a_message_is_used_up_to_its_longest_age() -> None:
+    late = Channel(changed_spec(PRESETS["ideal"], {"delay_s": 0.3, "longest_age_s": 0.3}), 1, 0.1)
+    places = [(0.0, 0.0), (20.0, 0.0)]
+    instants = [at(n, places) for n in range(9, -1, -1)]
+    assert late.newest(instants, 1, 0).age_s == pytest.approx(0.3)
+    old = Channel(changed_spec(late.spec, {"longest_age_s": 0.2}), 1, 0.1)
+    assert not old.newest(instants, 1, 0).received
+
+
+def test_a_channel_without_later_settings_has_the_key_that_it_had() -> None:
+    """Results that are kept have it in their names."""
+    known = PRESETS["its-g5-27"].decisive()
+    assert {"packet_loss", "delay_s", "clock_error_s", "trace"} <= known.keys()
+    assert not {"burst_loss", "burst_s", "jitter_s", "message_hz", "longest_age_s"} & known.keys()
+    assert changed_spec(PRESETS["ideal"], {"jitter_s": 0.1}).decisive()["jitter_s"] == 0.1

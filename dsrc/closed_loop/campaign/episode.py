@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from dsrc.closed_loop.driving.careful import CarefulDriver
 from dsrc.closed_loop.driving.planner import PlanningDriver
@@ -20,6 +21,7 @@ from dsrc.closed_loop.metrics.episode import episode_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Driver, Perception
 from dsrc.data.jsonio import read_json
+from dsrc.faults.fault import Faults, faults_text
 from dsrc.runs.unit import Progress, Unit, key_of
 from sensors.corruptions import CLEAN, EVERYONE, Condition
 from sim.boxes import CLASSES
@@ -51,6 +53,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
         loop: intervals and limits of time.
         versions: of other packages that the code imports.
         code: hash of the code.
+        faults: of the episode, beside condition and radio, which are there all the time.
     """
 
     scenario: str
@@ -69,13 +72,16 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
     loop: LoopSettings
     versions: dict[str, str]
     code: str
+    faults: Faults = ()
 
 
 def decisive(job: EpisodeJob) -> dict[str, Any]:
     """Return what decides an episode, of plain values, without names and paths."""
     condition = job.condition.decisive()
-    found = msgspec.to_builtins(job) | {"who": condition.pop("who", EVERYONE), "condition": condition}
-    return {name: found[name] for name in found if name not in ("scenario", "perception", "checkpoint", "channel")}
+    found = msgspec.to_builtins(replace(job, faults=())) | {"who": condition.pop("who", EVERYONE)}
+    found |= {"condition": condition, "faults": [one.decisive() for one in job.faults]}
+    left_out = ["scenario", "perception", "checkpoint", "channel", *(() if job.faults else ["faults"])]
+    return {name: found[name] for name in found if name not in left_out}
 
 
 def episode_key(job: EpisodeJob) -> str:
@@ -101,6 +107,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
         message: explanation of a failed perception.
         key: name of its cell.
         metrics: see `dsrc.closed_loop.metrics.episode.EpisodeMetrics`; None where undefined.
+        fault: faults beside corruption and channel, "" without any.
     """
 
     scenario: str
@@ -117,6 +124,17 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
     message: str
     key: str
     metrics: dict[str, float | None]
+    fault: str = ""
+
+    @property
+    def clean(self) -> bool:
+        """Whether there is neither a corruption nor a fault."""
+        return self.corruption == CLEAN and not self.fault
+
+    @property
+    def title(self) -> str:
+        """Title of what is wrong with it, but for the channel."""
+        return self.fault or self.condition.label
 
     @property
     def condition(self) -> Condition:
@@ -147,6 +165,8 @@ def drive_unit(unit: Unit[EpisodeJob], progress: Progress) -> None:
         log = drive_episode(job)
         log.save(unit.folder / f"{key}.npz")
         result = msgspec.to_builtins(result_of(key, job, log)) | {"settings": decisive(job)}
+        if not job.faults:
+            del result["fault"]
         write_file(unit.folder / f"{key}.json", msgspec.json.encode(result, order="deterministic"))
         progress(done, len(unit.jobs))
 
@@ -175,6 +195,7 @@ def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = 
         channel=job.channel,
         engine=job.engine,
         versions=job.versions,
+        fault=faults_text(job.faults),
     )
 
 
@@ -214,6 +235,7 @@ def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
         message=log.message,
         key=key,
         metrics={name: None if value != value else float(value) for name, value in values.items()},
+        fault=faults_text(job.faults),
     )
 
 
@@ -227,6 +249,7 @@ def _perception(job: EpisodeJob) -> Perception:
         job.loop.detect_every_s,
         job.loop.look_ahead_s,
         job.engine,
+        job.faults,
     )
 
 
@@ -240,6 +263,7 @@ def _opened(
     interval_s: float,
     look_ahead_s: float,
     engine: str,
+    faults: Faults,
 ) -> Perception:
     return open_perception(
         uses,
@@ -249,4 +273,5 @@ def _opened(
         interval_s=interval_s,
         look_ahead_s=look_ahead_s,
         engine=engine,
+        fault=faults,
     )

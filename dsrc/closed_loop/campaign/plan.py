@@ -31,6 +31,7 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
+from dsrc.closed_loop.campaign.disturbance import Disturbance, settled
 from dsrc.closed_loop.campaign.episode import EpisodeJob
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.error_model.model import read_model
@@ -45,6 +46,7 @@ from dsrc.closed_loop.perception.open import (
 )
 from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
+from dsrc.faults.fault import faults_text, parse_faults
 from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import RENAMED, changed_radios
@@ -65,7 +67,7 @@ COMPUTED_BY = "dsrc.closed_loop.campaign.episode"
 
 _OF_RADIO = ("channel", "loss", "delay_s", "pose_error")
 _IDEAL_RADIO: dict[str, Any] = {"channel": (IDEAL,), "loss": None, "delay_s": None, "pose_error": None}
-_AS_GIVEN = ("severity", "family", "corrupted_agents", *_OF_RADIO, "engine", "driver")
+_AS_GIVEN = ("severity", "family", "corrupted_agents", *_OF_RADIO, "fault", "engine", "driver")
 """Options of `dsrc drive` that are fields of a campaign."""
 
 Seeds = Annotated[int, Meta(ge=1)] | Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
@@ -108,8 +110,9 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         loss: share of packets lost, in place of the channels' own.
         delay_s: delay of messages, s, likewise.
         pose_error: pose error of the helpers, m and deg, likewise.
+        fault: faults, each text a row of the tables, see `dsrc.faults.fault`: `fog:3 from 4 s on helpers + loss:0.3`.
         clean_seeds: seeds of each scenario and perception without a corruption: a number of them, from 0, or a list.
-        seeds: those of each scenario, perception, corruption, severity and channel; the same for all.
+        seeds: those of each scenario, perception, corruption, severity or fault, and channel; the same for all.
         engine: execution of the networks, see `dsrc.models.storage.deploy.ENGINES`; `auto` becomes the fastest that
             serves all detectors of the campaign, see `with_engine`.
         driver: `planning`, or `careful` for the reference driver of UN R157.
@@ -129,6 +132,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     loss: float | None = None
     delay_s: float | None = None
     pose_error: float | None = None
+    fault: tuple[str, ...] = ()
     clean_seeds: Seeds = 20
     seeds: Seeds = 10
     engine: AutoEngine = "auto"
@@ -146,6 +150,11 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     def radios(self) -> tuple[str, ...]:
         """Radio channels with their changes."""
         return changed_radios(self.channel, self.loss, self.delay_s, self.pose_error)
+
+    def disturbed(self, channel: str) -> list[Disturbance]:
+        """Return what the episodes of a channel are driven in: clean, each corruption, each text of faults."""
+        own = [Disturbance(condition, channel) for condition in self.conditions]
+        return [*own, *(settled(parse_faults(text, "campaign"), channel) for text in self.fault)]
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -212,7 +221,7 @@ def _without_effect(plan: Campaign) -> Iterator[tuple[str, str]]:
     """Yield the fields that would change no episode of a plan, with what is expected of each."""
     no_sensor = all(one.kind in WITHOUT_SENSOR for one in plan.perceptions)
     if no_sensor or len(plan.conditions) == 1:
-        for field in ("seeds", "severity", "family", "corrupted_agents"):
+        for field in (*(() if plan.fault else ("seeds",)), "severity", "family", "corrupted_agents"):
             yield field, f"none, since no episode is corrupted{': clean_seeds' if field == 'seeds' else ''}"
     if no_sensor:
         yield "corruption", "none, since no perception has a sensor"
@@ -311,6 +320,7 @@ def check(plan: Campaign, where: str) -> None:
             expected = "a name, without | and line ends"
             raise SettingsError(complaint(where, "perceptions.name", expected, f"'{one.name}'"))
     conditions_of(plan.corruption, plan.severity, (plan.family,), plan.corrupted_agents, where)
+    _check_faults(plan, where)
     if plan.loop.look_ahead_s and not any(_has_detector(one) for one in plan.perceptions):
         expected = f"0 with perception '{plan.perceptions[0].name}', which has no detector whose range could be shifted"
         raise SettingsError(complaint(where, "look_ahead_s", expected, f"{plan.loop.look_ahead_s:g}"))
@@ -328,14 +338,31 @@ def check(plan: Campaign, where: str) -> None:
         if one.checkpoint and not Path(one.checkpoint).is_file():
             raise SettingsError(complaint(where, f"perceptions.{one.name}.checkpoint", "a file", one.checkpoint))
         if one.kind == MODELLED:
-            for condition in plan.conditions:
-                for channel in plan.radios:
-                    open_perception(
-                        MODELLED,
-                        checkpoint=Path(one.checkpoint) if one.checkpoint else None,
-                        corruption=condition,
-                        channel=channel,
-                    )
+            for condition, channel, faults in (each for name in plan.radios for each in plan.disturbed(name)):
+                open_perception(
+                    MODELLED,
+                    checkpoint=Path(one.checkpoint) if one.checkpoint else None,
+                    corruption=condition,
+                    channel=channel,
+                    fault=faults,
+                )
+
+
+def _check_faults(plan: Campaign, where: str) -> None:
+    """Raise SettingsError for a wrong fault, one that is there twice, or one that acts on no perception."""
+    found = [faults_text(parse_faults(text, where)) for text in plan.fault]
+    if repeated := [text for text in found if found.count(text) > 1]:
+        raise SettingsError(complaint(where, "fault", "texts that differ", repeated[0]))
+    for text in found:
+        each = settled(parse_faults(text, where), plan.radios[0])
+        if not any(_acts(each, plan.radios, one, _has_helpers(one)) for one in plan.perceptions):
+            names = ", ".join(one.name for one in plan.perceptions)
+            raise SettingsError(complaint(where, f"fault '{text}'", "a perception that all of it acts on", names))
+    driven = [each for channel in plan.radios for each in plan.disturbed(channel)]
+    for each in driven:
+        if driven.count(each) > 1:
+            expected = "a fault that no corruption, channel or other fault is already"
+            raise SettingsError(complaint(where, "fault", expected, f"{each.condition.label}, {each.channel}"))
 
 
 def episodes_of(plan: Campaign) -> list[EpisodeJob]:
@@ -347,14 +374,13 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
     code, versions = code_hash(COMPUTED_BY), package_versions(COMPUTED_BY)
     hashes = {one.name: detector_hash(one.kind, one.checkpoint) for one in plan.perceptions}
     helped = {one.name: _has_helpers(one) for one in plan.perceptions}
-    radios = {name: get_channel(name).decisive() for name in plan.radios}
     found = []
     for scenario in plan.scenarios:
         loaded = load_scenario(scenario)
         content, files = msgspec.to_builtins(loaded), _files_of(loaded)
         for seed in dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)]):
             for one in plan.perceptions:
-                for condition, channel in _cells(plan, one, seed, helped[one.name]):
+                for condition, channel, faults in _cells(plan, one, seed, helped[one.name]):
                     found.append(
                         EpisodeJob(
                             scenario=scenario,
@@ -366,13 +392,14 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                             detector=hashes[one.name],
                             condition=condition,
                             channel=channel,
-                            radio=radios[channel],
+                            radio=get_channel(channel).decisive(),
                             seed=seed,
                             engine=plan.engine if _has_detector(one) else "fused",
                             driver=plan.driver,
                             loop=plan.loop,
                             versions=versions,
                             code=code,
+                            faults=faults,
                         )
                     )
     return found
@@ -407,6 +434,7 @@ def controls_of(plan: Campaign) -> Campaign | None:
         perceptions=(PerceptionSpec(name="truth"),),
         corruption=(CLEAN,),
         **_IDEAL_RADIO,
+        fault=(),
         clean_seeds=_driven(plan),
         controls=False,
     )
@@ -420,6 +448,7 @@ def careful_of(plan: Campaign) -> Campaign:
         perceptions=(PerceptionSpec(name="truth"),),
         corruption=(CLEAN,),
         **_IDEAL_RADIO,
+        fault=(),
         clean_seeds=seeds,
         seeds=seeds,
         driver="careful",
@@ -436,13 +465,24 @@ def _listed(seeds: int | tuple[int, ...]) -> tuple[int, ...]:
     return tuple(range(seeds)) if isinstance(seeds, int) else seeds
 
 
-def _cells(plan: Campaign, one: PerceptionSpec, seed: int, helped: bool) -> Iterator[tuple[Condition, str]]:
-    for condition in plan.conditions:
-        clean = condition.kind == CLEAN
-        wanted = _listed(plan.clean_seeds if clean else plan.seeds)
-        if seed not in wanted or (one.kind in WITHOUT_SENSOR and not clean):
-            continue
-        yield from ((condition, channel) for channel in (plan.radios if helped else plan.radios[:1]))
+def _cells(plan: Campaign, one: PerceptionSpec, seed: int, helped: bool) -> Iterator[Disturbance]:
+    channels = plan.radios if helped else plan.radios[:1]
+    for row in zip(*(plan.disturbed(channel) for channel in channels), strict=True):
+        clean = row[0].condition.kind == CLEAN and not row[0].faults and row[0].channel == channels[0]
+        if seed in _listed(plan.clean_seeds if clean else plan.seeds):
+            yield from (each for each in row if _acts(each, channels, one, helped))
+
+
+def _acts(disturbance: Disturbance, channels: tuple[str, ...], one: PerceptionSpec, helped: bool) -> bool:
+    """Whether a perception is driven in a disturbance.
+
+    All of it must act on a perception without a sensor, and some of it on one without helpers.
+    """
+    condition, channel, faults = disturbance
+    places = {fault.what.place for fault in faults}
+    if one.kind in WITHOUT_SENSOR:
+        return condition.kind == CLEAN and channel in channels and not places & {"sensor", "radio"}
+    return helped or condition.kind != CLEAN or bool(places - {"radio"}) or (not faults and channel in channels)
 
 
 def _has_detector(one: PerceptionSpec) -> bool:

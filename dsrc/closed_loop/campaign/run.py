@@ -43,6 +43,7 @@ from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.closed_loop.perception.open import open_perception, parse_perception
 from dsrc.closed_loop.replay import replay
 from dsrc.closed_loop.types import Outcome
+from dsrc.faults.fault import faults_text, parse_faults
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
@@ -158,12 +159,13 @@ def _reference(plan: Campaign) -> list[EpisodeJob]:
 def results_csv(results: Iterable[EpisodeResult]) -> str:
     """Return results as CSV, a line per episode and a column per metric."""
     results = list(results)
+    columns = [name for name in _COLUMNS if name != "fault" or any(result.fault for result in results)]
     metrics = sorted({name for result in results for name in result.metrics})
     rows = []
     for result in results:
         known = {name: f"{value:.6g}" for name, value in result.metrics.items() if value is not None}
-        rows.append({**{name: getattr(result, name) for name in _COLUMNS}, **known})
-    return csv_text(rows, [*_COLUMNS, *metrics])
+        rows.append({**{name: getattr(result, name) for name in columns}, **known})
+    return csv_text(rows, [*columns, *metrics])
 
 
 def read_results(paths: Iterable[Path], whole: bool = True, field: str = "reuse") -> dict[str, EpisodeResult]:
@@ -184,7 +186,8 @@ def read_results(paths: Iterable[Path], whole: bool = True, field: str = "reuse"
         with parsing(path, "results.csv"):
             rows = list(csv.reader(io.StringIO(text)))
         heads = rows[0] if rows else []
-        needed = (*_COLUMNS, *EpisodeMetrics.__struct_fields__) if whole else _COLUMNS
+        own = tuple(name for name in _COLUMNS if name != "fault")
+        needed = (*own, *EpisodeMetrics.__struct_fields__) if whole else own
         if lacking := [name for name in needed if name not in heads]:
             raise DataError(complaint(path, "columns", "those of results.csv", f"none named {lacking[0]}"))
         for number, row in enumerate(rows[1:], start=2):
@@ -193,7 +196,7 @@ def read_results(paths: Iterable[Path], whole: bool = True, field: str = "reuse"
                 raise DataError(complaint(path, where, f"{len(heads)} fields", f"{len(row)}"))
             given = dict(zip(heads, row, strict=True))
             try:
-                own = {name: given.pop(name) for name in _COLUMNS}
+                own = {name: given.pop(name) for name in _COLUMNS if name in given}
                 metrics = {name: float(value) if value else None for name, value in given.items()}
                 result = msgspec.convert(own | {"metrics": metrics}, EpisodeResult, strict=False)
                 Outcome(result.outcome)
@@ -333,13 +336,13 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
     """Return the log of an episode, and another with the percepts of the perception of a command line.
 
     Without a perception in the options it is the log's own: both logs are then the same. With a perception, a
-    corruption or a channel in the options, what they leave out of the other two is clean and ideal, not the log's.
+    corruption, a channel or faults in the options, what they leave out of the others is clean and ideal, not the log's.
 
     Raises:
         UserError: the log or a setting is wrong, or the log's own detector is not the file that is given.
     """
     radios = options.radios
-    for field in ("perception", "corruption", "severity", "channel"):
+    for field in ("perception", "corruption", "severity", "channel", "fault"):
         if len(values := getattr(options, field)) > 1:
             raise SettingsError(complaint("drive", option(field), "one value for a log", " ".join(map(str, values))))
     former = EpisodeLog.load(path)
@@ -355,7 +358,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         if detector_hash(uses, checkpoint) != settings.detector:
             expected = f"the detector of the log, SHA-256 {settings.detector[:12]}"
             raise SettingsError(complaint("drive", "checkpoint", expected, checkpoint or f"that of '{uses}'"))
-    asked = options.perception or options.corruption or radios
+    asked = options.perception or options.corruption or radios or options.fault
     corruption = (options.corruption or (CLEAN if asked else settings.corruption,))[0]
     if corruption == CLEAN:
         for field in ("severity", "corrupted_agents", "family"):
@@ -368,6 +371,9 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         options.family or settings.family,
         options.corrupted_agents or settings.who,  # type: ignore[arg-type]
     )
+    faults = parse_faults(options.fault[0]) if options.fault else ()
+    if not asked and settings.fault:
+        faults = parse_faults(settings.fault, str(path))
     used: dict[str, Any] = {
         "channel": (radios or (IDEAL if asked else settings.channel,))[0],
         # A perception that is driven again keeps its engine.
@@ -377,6 +383,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         uses,
         checkpoint=options.checkpoint,
         corruption=condition,
+        fault=faults,
         interval_s=settings.loop.get("detect_every_s", settings.scenario.step_s),
         look_ahead_s=settings.loop.get("look_ahead_s", 0.0) if options.look_ahead_s is None else options.look_ahead_s,
         **used,
@@ -396,6 +403,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         family=condition.family,
         who=condition.agents_text,
         driver=driver,
+        fault=faults_text(faults),
         **used,
     )
     return former, again

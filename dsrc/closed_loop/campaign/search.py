@@ -13,6 +13,7 @@ from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec, with_engine
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR, open_perception
 from dsrc.closed_loop.types import Outcome, Perception
+from dsrc.faults.fault import parse_faults
 from dsrc.tables.table import Column, Table, TableRow
 from sensors.corruptions import CLEAN, SEVERITIES, Condition
 from sim.errors import SettingsError, complaint, option
@@ -128,6 +129,7 @@ def _single(plan: Campaign, kind: str, quantity: Quantity) -> tuple[PerceptionSp
         "perception": len(plan.perceptions),
         "seed": len(_seeds(plan)),
         "channel": len(plan.radios),
+        "fault": len(plan.fault),
         "severity": 1 if kind == CLEAN else len(plan.severity),
     }
     for field, count in counts.items():
@@ -148,6 +150,7 @@ def _perception(plan: Campaign, one: PerceptionSpec, kind: str, quantity: Quanti
         radio = radio.changed(**{quantity: value})
     return open_perception(
         one.kind,
+        fault=parse_faults(plan.fault[0]) if plan.fault else (),
         checkpoint=Path(one.checkpoint) if one.checkpoint else None,
         corruption=Condition.of(kind if severity else CLEAN, severity, plan.family, plan.corrupted_agents),
         channel=radio.label,

@@ -40,6 +40,11 @@ class Result(Protocol):
         ...
 
     @property
+    def fault(self) -> str:
+        """Faults beside corruption and channel, or ""."""
+        ...
+
+    @property
     def channel(self) -> str:
         """Name of the channel."""
         ...
@@ -96,7 +101,7 @@ def counted(results: Sequence[Result], failed: bool = False) -> list[Result]:
 def pairs(
     results: Sequence[Result], others: Sequence[Result], any_channel: bool = False, failed: bool = False
 ) -> list[tuple[Result, Result]]:
-    """Return the counted results of the same scenario, seed, corruption, severity, corrupted agents and channel.
+    """Return the counted results of one scenario, seed, corruption, severity, corrupted agents, faults and channel.
 
     Args:
         any_channel: channels may differ: a perception without helpers has none.
@@ -113,12 +118,11 @@ def pairs(
 def _by_key(results: Sequence[Result], any_channel: bool) -> dict[tuple, Result]:
     found: dict[tuple, Result] = {}
     for one in results:
-        key = (one.scenario, one.seed, one.corruption, one.severity, one.who, one.channel)[
-            : -1 if any_channel else None
-        ]
-        if key in found:
-            raise ValueError(f"two results of {key}")
-        found[key] = one
+        key = (one.scenario, one.seed, one.corruption, one.severity, one.who, one.fault, one.channel)
+        known = key[: -1 if any_channel else None]
+        if known in found:
+            raise ValueError(f"two results of {known}")
+        found[known] = one
     return found
 
 

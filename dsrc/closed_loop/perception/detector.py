@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from dsrc.closed_loop.perception.senses import Senses
 from dsrc.closed_loop.seen_space import SeenSpace, seen_of
 from dsrc.closed_loop.types import Percept
 from dsrc.data.sample import Sample, SampleDetector, make_sample
+from dsrc.faults.fault import Faults
 from dsrc.models.channel import Receiver
 from dsrc.models.device import one_thread
 from dsrc.ops.detections import Detections
@@ -19,7 +21,7 @@ from sensors.recording.encounter_check import BRAKING_MPS2
 from sim.boxes import VEHICLES, Boxes
 from sim.errors import SettingsError, complaint
 from sim.geometry import invert
-from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
+from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link, changed_spec
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
@@ -34,6 +36,7 @@ class DetectorPerception:
         look_ahead_s: reaction time of the stopping distance that the detector's range is shifted ahead to cover, s, by
             half its reach at most; 0: no shift.
         engine: execution of the detector's network, for logs.
+        faults: of the episode; those of sensors and radio act here.
 
     Raises:
         SettingsError: `look_ahead_s` is not finite or below 0, or not 0 for a network that encodes each cloud in its
@@ -50,9 +53,11 @@ class DetectorPerception:
         interval_s: float = 0.1,
         look_ahead_s: float = 0.0,
         engine: str = "fused",
+        faults: Faults = (),
     ) -> None:
         self.detector, self.cooperative, self.channel, self.engine = detector, cooperative, channel, engine
-        self.senses = Senses(condition or Condition(), cooperative)
+        self.faults = faults
+        self.senses = Senses(condition or Condition(), cooperative, faults)
         if not (math.isfinite(look_ahead_s) and look_ahead_s >= 0.0):
             raise SettingsError(complaint("perception", "look_ahead_s", "seconds >= 0", f"{look_ahead_s:g}"))
         if look_ahead_s and getattr(detector.settings, "own_frame", False):
@@ -65,7 +70,8 @@ class DetectorPerception:
     @property
     def message_interval_s(self) -> float | None:
         """Time between the helpers' messages, s; None without any, or where they arrive at once."""
-        return self._interval_s if self.cooperative and self.channel != PRESETS[IDEAL] else None
+        late = self.channel != PRESETS[IDEAL] or any(fault.radio for fault in self.faults)
+        return self._interval_s if self.cooperative and late else None
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -79,7 +85,15 @@ class DetectorPerception:
         self._past.clear()
         interval_s = max(self._interval_s, scenario.step_s)
         joined = [part.settings for part in getattr(self.detector, "detectors", ())[1:]]
-        self._receiver = Receiver(self.channel, seed, interval_s, self.detector.settings, joined)
+        radio = [fault for fault in self.faults if fault.radio]
+        self._receiver = Receiver(
+            self.channel,
+            seed,
+            interval_s,
+            self.detector.settings,
+            joined,
+            partial(_faulted, self.channel, tuple(radio), interval_s, ego_id) if radio else None,
+        )
 
     @property
     def sensed(self) -> Frame | None:
@@ -129,6 +143,15 @@ class DetectorPerception:
         helpers = zip(sample.agent_ids[1:], sample.ego_from_agent[1:], strict=True)
         told = [(sent[agent_id].agent(agent_id), world_from_ego @ pose) for agent_id, pose in helpers]
         return seen_of([(own, None), *told])
+
+
+def _faulted(spec: ChannelSpec, faults: Faults, interval_s: float, ego_id: int, index: int, sender: int) -> ChannelSpec:
+    """Return the settings of the messages that an agent sends in an instant; the first instant of an episode is 1."""
+    time_s = (index - 1) * interval_s
+    for fault in faults:
+        if fault.at(time_s) and fault.on(sender, ego_id):
+            spec = changed_spec(spec, fault.radio)
+    return spec
 
 
 def _shift_m(speed_mps: float, look_ahead_s: float, reach_m: float) -> float:

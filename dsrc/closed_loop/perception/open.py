@@ -9,6 +9,7 @@ from dsrc.closed_loop.types import Perception
 from dsrc.data.sample import SampleDetector
 from dsrc.detectors.classes import OwnDetector, load_own
 from dsrc.detectors.texts import SHIPPED_DETECTOR, kind_of, split_name
+from dsrc.faults.fault import Fault, Faults, parse_faults, require_apart
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, CorruptedAgents, Family
 from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
@@ -43,6 +44,7 @@ def open_perception(
     look_ahead_s: float = 0.0,
     engine: str = "auto",
     device: Literal["cpu", "cuda"] = "cpu",
+    fault: str | Faults = (),
     who: CorruptedAgents | str | None = None,
 ) -> Perception:
     """Return a perception by name.
@@ -71,6 +73,7 @@ def open_perception(
         engine: execution of the network, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`; the perception's
             `engine` is what runs.
         device: of the network.
+        fault: faults of the episode, see `dsrc.faults.fault`.
         who: former name of `corrupted_agents`.
 
     Raises:
@@ -86,18 +89,23 @@ def open_perception(
     if isinstance(condition, str):
         condition = Condition.of(condition, severity, family, who if who is not None else corrupted_agents)
     corrupted = condition.checked().kind != CLEAN
+    faults = parse_faults(fault, "perception") if isinstance(fault, str) else fault
+    require_apart([*([Fault.of(condition)] if corrupted else []), *faults], "perception")
+    sensed = any(one.what.place in ("sensor", "radio") for one in faults)
     if name in WITHOUT_SENSOR:
         given = {"corruption": corrupted, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
+        given["fault"] = sensed
         _refuse(text, "a sensor", given)
         return TruthPerception() if name == "truth" else SightPerception()
     if name == MODELLED:
+        _refuse(text, "a sensor", {"fault": sensed})
         return _modelled(text, Path(file) if file else checkpoint, condition, channel)
     detector: Any
     if ":" in name:
         _refuse(text, "a checkpoint", {"checkpoint": checkpoint is not None})
         detector, engine = _own(name), "fused"
         if hasattr(detector, "perceive"):
-            _refuse(text, "a detector", {"corruption": corrupted, "channel": radio != _IDEAL})
+            _refuse(text, "a detector", {"corruption": corrupted, "channel": radio != _IDEAL, "fault": sensed})
             return cast(Perception, detector)
     else:
         if file and checkpoint is not None:
@@ -119,6 +127,7 @@ def open_perception(
         interval_s=interval_s,
         look_ahead_s=look_ahead_s,
         engine=engine,
+        faults=faults,
     )
 
 

@@ -1,4 +1,4 @@
-"""Senses: corrupted sweeps of the ego and its helpers at every percept of an episode.
+"""Senses: sweeps of the ego and its helpers at every percept of an episode, with the faults of their sensors.
 
 Frames are those of `sensors.recording.rig`, as in a recorded drive of the same traffic; the half of a sweep after an
 instant is extrapolated. Helpers are chosen once, at the start (`Rig.carriers`), beside the scenario's roadside units;
@@ -10,7 +10,8 @@ from collections.abc import Mapping
 
 from dsrc.closed_loop.kept import world_scene
 from dsrc.closed_loop.perception.liars import false_actors
-from sensors.corruptions import Condition
+from dsrc.faults.fault import Fault, Faults, require_apart
+from sensors.corruptions import CLEAN, Condition
 from sensors.frame import Frame
 from sensors.recording.rig import Rig
 from sim.errors import SettingsError, complaint
@@ -26,11 +27,16 @@ class Senses:
         index: number of the newest frame, 0 before the first.
 
     Args:
+        condition: of the sweeps all the time, the first of the faults.
         cooperative: False leaves the ego alone.
+        faults: of the sensors, each acting on what those before it left; others do not matter.
     """
 
-    def __init__(self, condition: Condition, cooperative: bool) -> None:
+    def __init__(self, condition: Condition, cooperative: bool, faults: Faults = ()) -> None:
         self.condition, self.cooperative = condition, cooperative
+        first = () if condition.kind == CLEAN else (Fault.of(condition),)
+        self._faults = (*first, *(one for one in faults if one.what.place == "sensor"))
+        self._named = faults
         self.agents: tuple[int, ...] = ()
         self.index = 0
         self._rig: Rig | None = None
@@ -59,6 +65,7 @@ class Senses:
             self._steps.append(before)
             carriers = self._rig.carriers(before, self._ego_id)
             self.agents = (*carriers, *self._rig.roadside) if self.cooperative else (self._ego_id,)
+            self._start_s = now.time_s
             self._check_agents()
         self._steps.append(now)
         self.index += 1
@@ -66,11 +73,18 @@ class Senses:
         present = [agent for agent in self.agents if agent < 0 or agent in now.boxes.object_id]
         lies = false_actors(claims, now, present[1:])
         frame = self._rig.frame(self.index, present, now, oldest, only_for=lies)
-        return self.condition.among(present).apply(frame, self._rig.seed, self._ego_id)
+        for fault in self._faults:
+            if fault.at(now.time_s - self._start_s):
+                frame = fault.condition.among(present).apply(frame, self._rig.seed, self._ego_id)
+        return frame
 
     def _check_agents(self) -> None:
-        named = self.condition.agents
-        unknown = [] if isinstance(named, str) or not self.cooperative else [i for i in named if i not in self.agents]
-        if unknown:
-            expected = f"ids among the agents {list(self.agents)}"
-            raise SettingsError(complaint("perception", "corrupted_agents", expected, unknown[0]))
+        """Raise SettingsError for an id that is no agent, or faults of one kind on one agent at once."""
+        fields = {f"fault '{one.text}'": one.agents for one in self._named} if self.cooperative else {}
+        if self.cooperative:
+            fields["corrupted_agents"] = self.condition.agents
+        expected = f"ids among the agents {list(self.agents)}"
+        for field, named in fields.items():
+            for unknown in () if isinstance(named, str) else (one for one in named if one not in self.agents):
+                raise SettingsError(complaint("perception", field, expected, unknown))
+        require_apart(self._named, "perception", self._ego_id)

@@ -24,8 +24,8 @@ def groups(results: Sequence[EpisodeResult]) -> list[tuple[str, str, list[Episod
 
 
 def condition(one: EpisodeResult) -> str:
-    """Return the title of an episode's corruption and channel."""
-    return one.condition.label if one.channel == IDEAL else f"{one.condition.label}, {one.channel}"
+    """Return the title of an episode's corruption or faults, and of its channel."""
+    return one.title if one.channel == IDEAL else f"{one.title}, {one.channel}"
 
 
 def condition_cells(group: Sequence[EpisodeResult]) -> tuple[str, ...]:

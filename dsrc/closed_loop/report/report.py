@@ -79,9 +79,10 @@ def publish_report(result: CampaignResult, out: Path, document: Path, gate: Gate
 
 def markdown(result: CampaignResult, gate: Gate = NO_GATE) -> str:
     """Return the report of a campaign."""
+    disturbed = "with a fault" if any(one.fault for one in result.results) else "corrupted"
     driven = {
-        what: sorted({one.seed for one in result.results if (one.corruption == CLEAN) == clean})
-        for what, clean in (("clean", True), ("corrupted", False))
+        what: sorted({one.seed for one in result.results if one.clean == clean})
+        for what, clean in (("clean", True), (disturbed, False))
     }
     seeds = ", ".join(f"{_seeds(listed)} {what}" for what, listed in driven.items() if listed)
     parts = [f"# {result.plan.name}", f"Driven by `dsrc drive`: {len(result.results)} episodes, seeds {seeds}."]
@@ -116,7 +117,7 @@ def _plots(result: CampaignResult) -> "dict[str, Callable[[], Figure]]":
     )
 
     common, apart = parts_of(result)
-    plan, every = result.plan, common or apart
+    plan, every = result.plan, [one for one in common or apart if not one.fault]
     severity = plan.severity[len(plan.severity) // 2]
     one_channel = [one for one in every if one.channel == plan.radios[0]]
     shown = [one for one in one_channel if one.corruption == CLEAN or one.severity == severity]

@@ -199,7 +199,7 @@ def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> Table:
     rows = []
     names = list(dict.fromkeys(one.perception for one in (*common, *apart)))
     for part, results in (("", common), ("apart", apart)):
-        clean = [one for one in results if one.corruption == CLEAN]
+        clean = [one for one in results if one.clean]
         for scenario in dict.fromkeys(one.scenario for one in clean):
             group = [one for one in clean if one.scenario == scenario]
             title = f"{scenario} ({group[0].road_user})" if part else scenario

@@ -18,6 +18,7 @@ from dsrc.closed_loop.campaign.plan import (
     read_campaign,
 )
 from dsrc.closed_loop.loop import LoopSettings
+from dsrc.faults.fault import faults_text
 from dsrc.options.driving import DriveOptions
 from sim.errors import SettingsError
 from sim.files import file_sha256
@@ -298,3 +299,80 @@ def test_messages_that_wait_for_the_next_detection_are_told() -> None:
 
     assert late(0.05, 0.2) == [("ideal,delay_s=0.05", 0.05, 0.2)]
     assert late(0.2, 0.1) == late(0.0, 0.2) == []
+
+
+def told(*fault: str, **options: Any) -> list[tuple[str, str, str, str]]:
+    """Perception, corruption, channel and faults of the episodes of a command line."""
+    asked = DriveOptions(what="ima_building", perception=("truth", "ego", "team"), fault=fault, **options)
+    return [
+        (job.perception, job.condition.label, job.channel, faults_text(job.faults))
+        for job in episodes_of(campaign_of(asked))
+    ]
+
+
+def test_each_text_of_faults_is_a_condition_beside_the_clean_one() -> None:
+    text = "fog:3 from 4 s to 9 s on helpers + loss:0.3 from 5 s"
+    assert told(text) == [
+        ("truth", "clean", "ideal", ""),
+        *((eyes, "clean", "ideal", faults) for eyes in ("ego", "team") for faults in ("", text)),
+    ]
+    assert [each for each in told("loss:1 from 2 s") if each[3]] == [("team", "clean", "ideal", "loss:1 from 2 s")]
+
+
+def test_a_fault_that_an_option_can_say_is_the_same_episode() -> None:
+    def keys(**options: Any) -> list[str]:
+        asked = DriveOptions(what="ima_building", perception=("team",), **options)
+        return [episode_key(job) for job in episodes_of(campaign_of(asked))]
+
+    assert keys(fault=("loss:0.3 + delay:0.1",))[1:] == keys(loss=0.3, delay_s=0.1)
+    assert keys(fault=("fog:4 on helpers",)) == keys(corruption=("fog",), severity=(4,), corrupted_agents="helpers")
+    assert (
+        keys(fault=("snow:2 + loss:0.3",))[1:]
+        == [
+            episode_key(job)
+            for job in episodes_of(
+                campaign_of(
+                    DriveOptions(
+                        what="ima_building", perception=("team",), corruption=("snow",), severity=(2,), loss=0.3
+                    )
+                )
+            )
+        ][1:]
+    )
+    each = keys(fault=("fog:3 from 1 s", "fog:3 from 2 s", "fog:3 to 2 s", "fog:3 from 1 s on ego", "fog:3 + noise:3"))
+    assert len(set(each)) == 6
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"fault": ("fgo:3",)}, "drive: fault 'fgo:3': expected a kind of fault, found fgo; did you mean 'fog'"),
+        ({"fault": ("fog:3 from 0 s", "fog:3")}, "drive: fault: expected texts that differ, found fog:3"),
+        ({"fault": ("fog:3",), "corruption": ("fog",)}, "fault: expected a fault that no corruption, channel or other"),
+        (
+            {"fault": ("loss:1 from 1 s",), "perception": ("ego", "sight")},
+            "expected a perception that all of it acts on",
+        ),
+    ],
+)
+def test_a_fault_that_is_wrong_or_there_already_is_told(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
+        campaign_of(DriveOptions(**{"what": "ima_building", "perception": ("team",), **options}))
+
+
+def test_a_plan_says_faults_in_the_same_words(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    text = (
+        'scenarios = ["ima_building"]\nfault = ["fog:3 from 4 s on helpers", "loss:0.3"]\nclean_seeds = 2\nseeds = 1\n'
+    )
+    path.write_text(text + 'corruption = ["clean"]\n[[perceptions]]\nname = "team"\n')
+    jobs = episodes_of(read_campaign(path))
+    assert [(job.seed, faults_text(job.faults), job.channel) for job in jobs] == [
+        (0, "", "ideal"),
+        (0, "fog:3 from 4 s on helpers", "ideal"),
+        (0, "", "ideal,loss=0.3"),
+        (1, "", "ideal"),
+    ]
+    path.write_text(text.replace("fog:3", "fog:7") + '[[perceptions]]\nname = "team"\n')
+    with pytest.raises(SettingsError, match=r"plan.toml: fault 'fog:7 from 4 s on helpers', severity: expected 1 to 5"):
+        read_campaign(path)

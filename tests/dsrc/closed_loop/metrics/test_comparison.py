@@ -24,6 +24,7 @@ class One:
     corruption: str = "clean"
     severity: int = 0
     who: str = "all"
+    fault: str = ""
     channel: str = "ideal"
     seed: int = 0
     outcome: str = "arrived"

@@ -1,0 +1,115 @@
+"""Kinds of faults: where each acts, on whom, and by which numbers."""
+
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar, Literal
+
+import msgspec
+
+from sensors.corruptions import CORRUPTIONS, DEFAULT_SEVERITY, Changes, Family
+from sensors.corruptions.apply import CorruptedAgents
+
+Place = Literal["sensor", "localisation", "radio", "computing", "actuation"]
+"""Where a fault acts: on sweeps, on the believed pose, on messages, on the detector's cycle, on the ego's commands."""
+
+Ranges = dict[str, tuple[float, float]]
+
+
+class FaultSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Numbers of a fault; the first field is the one that a text may leave unnamed.
+
+    Attributes:
+        RANGES: least and largest value of each field; a field without a default must be given.
+    """
+
+    RANGES: ClassVar[Ranges] = {}
+
+
+class Severity(FaultSettings, frozen=True):
+    """Severity of a corruption, 1 to 5, and its models; in Python also settings and a preset, see `Condition`."""
+
+    RANGES: ClassVar[Ranges] = {"severity": (1, 5)}
+    severity: int = DEFAULT_SEVERITY
+    family: Family = "physical"
+    changes: Changes = ()
+    preset: str | None = None
+
+
+class Share(FaultSettings, frozen=True):
+    """Share of what is lost, 0 to 1."""
+
+    RANGES: ClassVar[Ranges] = {"share": (0.0, 1.0)}
+    share: float
+
+
+class Seconds(FaultSettings, frozen=True):
+    """Time, s."""
+
+    RANGES: ClassVar[Ranges] = {"seconds": (0.0, inf)}
+    seconds: float
+
+
+class Bursts(FaultSettings, frozen=True):
+    """Share of the time in which a link is down, and the mean length of a burst, s."""
+
+    RANGES: ClassVar[Ranges] = {"share": (0.0, 0.99), "mean_s": (0.01, inf)}
+    share: float
+    mean_s: float = 0.5
+
+
+class Rate(FaultSettings, frozen=True):
+    """Largest rate of messages, Hz."""
+
+    RANGES: ClassVar[Ranges] = {"hz": (0.01, inf)}
+    hz: float
+
+
+class Reach(FaultSettings, frozen=True):
+    """Largest distance at which messages arrive, m."""
+
+    RANGES: ClassVar[Ranges] = {"metres": (0.1, inf)}
+    metres: float
+
+
+class Age(FaultSettings, frozen=True):
+    """Largest age at which a message is used, s."""
+
+    RANGES: ClassVar[Ranges] = {"seconds": (0.01, inf)}
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class FaultKind:
+    """One kind of fault.
+
+    Attributes:
+        place: where it acts.
+        settings: its numbers.
+        agents: on whom it acts where a text names nobody; with `helpers` or `ego` on nobody else.
+        radio: change of the channel that each of its numbers is, by a key of `sim.radio.CHANGES`.
+    """
+
+    place: Place
+    settings: type[FaultSettings]
+    agents: CorruptedAgents = "all"
+    radio: tuple[str, ...] = ()
+
+
+KINDS: dict[str, FaultKind] = {
+    "loss": FaultKind("radio", Share, "helpers", ("loss",)),
+    "bursts": FaultKind("radio", Bursts, "helpers", ("burst_loss", "burst_s")),
+    "delay": FaultKind("radio", Seconds, "helpers", ("delay_s",)),
+    "jitter": FaultKind("radio", Seconds, "helpers", ("jitter_s",)),
+    "rate": FaultKind("radio", Rate, "helpers", ("message_hz",)),
+    "range": FaultKind("radio", Reach, "helpers", ("range_m",)),
+    "age": FaultKind("radio", Age, "helpers", ("longest_age_s",)),
+}
+"""Kinds beside the corruptions, by name."""
+
+CORRUPTION = FaultKind("sensor", Severity)
+"""Kind of every corruption."""
+
+
+def kind_names() -> tuple[str, ...]:
+    """Return the names of all kinds, corruptions first."""
+    return (*CORRUPTIONS, *KINDS)
