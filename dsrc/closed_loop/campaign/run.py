@@ -186,8 +186,8 @@ def read_results(paths: Iterable[Path], whole: bool = True, field: str = "reuse"
         with parsing(path, "results.csv"):
             rows = list(csv.reader(io.StringIO(text)))
         heads = rows[0] if rows else []
-        own = tuple(name for name in _COLUMNS if name != "fault")
-        needed = (*own, *EpisodeMetrics.__struct_fields__) if whole else own
+        kept = tuple(name for name in _COLUMNS if name != "fault")
+        needed = (*kept, *EpisodeMetrics.__struct_fields__) if whole else kept
         if lacking := [name for name in needed if name not in heads]:
             raise DataError(complaint(path, "columns", "those of results.csv", f"none named {lacking[0]}"))
         for number, row in enumerate(rows[1:], start=2):
