@@ -81,7 +81,10 @@ def draw(agents: int, augmentation: Augmentation, rng: np.random.Generator) -> C
     thin = rng.random() < augmentation.thinning
     # Of a stream of its own, which leaves the draws of the thinning as they are.
     lift = augmentation.height_m * rng.spawn(1)[0].uniform(-1, 1)
-    return Change((0, *sorted(others.tolist())) if drop < augmentation.dropout else None, plane, scale, lift, thin)
+    chosen = None
+    if drop < max(augmentation.alone, augmentation.dropout):
+        chosen = (0,) if drop < augmentation.alone else (0, *sorted(others.tolist()))
+    return Change(chosen, plane, scale, lift, thin)
 
 
 def changed(sample: Sample, grid: GridSpec, change: Change) -> Sample:

@@ -101,6 +101,8 @@ class DetectionData(pl.LightningDataModule):
         exactly = replace(request, keep_ego_box=request.keep_ego_box or recipe.labels.ego_box)
         grid = source_grid(request.grid, recipe.augmentation)
         whole = replace(request, grid=grid, keep_ego_box=recipe.labels.ego_box, truth_range_m=None)
+        if recipe.augmentation.alone == 1 and not settings.distils and settings.role == "student":
+            whole = replace(whole, max_agents=1)  # the others' clouds would be dropped
         wide = SampleStore(drives, whole)
         frames, held_out = wide.frames, wide.frames
         if validation_drives is None and recipe.validation_share > 0:

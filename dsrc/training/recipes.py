@@ -32,6 +32,8 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         random_ego: any of the frame's vehicles is the ego, not always the first.
         dropout: probability that only some agents (one to all, evenly) take part, with the ground truth that these have
             seen. One network so learns to detect alone and with collaborators.
+        alone: probability that the ego takes part alone, with the ground truth that it has seen: 1 is for a network of
+            single vehicles, which else learns to find what only others see.
         thinning: probability that a student gets a random share of each agent's points. Ground truth, teacher clouds
             and reconstruction target keep all of them, so that distillation is sparse to dense beyond the views.
         corruption: probability that the sensors of a sample are corrupted, by any of `kinds` in any severity. Ground
@@ -46,6 +48,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     height_m: Annotated[float, Meta(ge=0, le=1)] = 0.0
     random_ego: bool = True
     dropout: Annotated[float, Meta(ge=0, le=1)] = 0.3
+    alone: Annotated[float, Meta(ge=0, le=1)] = 0.0
     thinning: Annotated[float, Meta(ge=0, le=1)] = 0.0
     corruption: Annotated[float, Meta(ge=0, le=1)] = 0.0
     kinds: tuple[str, ...] = PAPER_SIX

@@ -33,6 +33,10 @@ SETTINGS = (
 """Changes of the recipe `small`; lifts are errors of the fitted ground, thinning stands for sensors of fewer beams."""
 
 
+ALONE = ("no-collaboration", "dsrc-alone")
+"""Methods of single vehicles: their ground truth is what these have seen."""
+
+
 @dataclass(frozen=True)
 class Run:
     """Training of one detector.
@@ -60,16 +64,17 @@ class Run:
         drawn = BATCH * max(round(self.steps * share), 1)
         frames = min(FRAMES, drawn)
         size = (f"epochs={max(drawn // frames, 1)}", f"epoch_frames={frames}", f"learning_rate={self.rate}")
-        machine = (f"workers={workers}", f"bfloat16={str(torch.cuda.is_available()).lower()}")
+        alone = "augmentation.alone=1" if self.method in ALONE else "augmentation.alone=0.2"
+        machine = (alone, f"workers={workers}", f"bfloat16={str(torch.cuda.is_available()).lower()}")
         return override(of_method(RECIPES["small"](), self.method), (*SETTINGS, *size, *machine))
 
 
 PLAN = (
-    Run("plain-alone", "no-collaboration", "plain", "small-plain", 4000, 1e-3),
-    Run("plain", "attfuse", "plain", "plain-alone", 2000, 5e-4),
-    Run("teacher", "dsrc", "teacher", "small-dsrc", 3000, 1e-3),
-    Run("dsrc-alone", "dsrc-alone", "student", "small-dsrc", 4000, 1e-3, "teacher"),
-    Run("dsrc", "dsrc", "student", "dsrc-alone", 2000, 5e-4, "teacher"),
+    Run("plain-alone", "no-collaboration", "plain", "small-plain", 2000, 1.5e-3),
+    Run("plain", "attfuse", "plain", "plain-alone", 750, 5e-4),
+    Run("teacher", "dsrc", "teacher", "small-dsrc", 1000, 1.5e-3),
+    Run("dsrc-alone", "dsrc-alone", "student", "small-dsrc", 2000, 1.5e-3, "teacher"),
+    Run("dsrc", "dsrc", "student", "dsrc-alone", 750, 5e-4, "teacher"),
 )
 """Runs in their order; a teacher goes before what it teaches. Plain and DSRC have equal steps."""
 

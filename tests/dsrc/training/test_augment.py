@@ -111,6 +111,19 @@ def test_every_collaborator_is_dropped_now_and_then_but_never_the_ego(sample: Sa
     assert kept == {(ego,), (ego, one), (ego, two), (ego, one, two)}
 
 
+def test_an_ego_alone_has_its_own_cloud_and_what_it_has_seen(sample: Sample) -> None:
+    alone = Augmentation(flip=False, rotation_deg=0, scale=0, dropout=0, alone=1)
+    for seed in range(4):
+        few = augment(sample, GRID, alone, np.random.default_rng(seed))
+        assert few.agent_ids == sample.agent_ids[:1] and len(few.clouds) == 1 and len(few.other_clouds) == 2
+        assert set(few.boxes.object_id.tolist()) == set(few.agent_boxes[0].object_id.tolist())
+    part = {
+        augment(sample, GRID, replace_setting(alone, alone=0.5), np.random.default_rng(seed)).agent_ids
+        for seed in range(20)
+    }
+    assert part == {sample.agent_ids[:1], sample.agent_ids}
+
+
 def test_equal_seeds_make_equal_samples(sample: Sample) -> None:
     a, b = (augment(replace(sample), GRID, Augmentation(), np.random.default_rng(9)) for _ in range(2))
     assert all(np.array_equal(x, y) for x, y in zip(a.clouds, b.clouds, strict=True))

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from dsrc.models.inputs.batch import collate
 from dsrc.training.datamodule import DetectionData, EpochSampler
 from dsrc.training.module import RateCurve
-from dsrc.training.recipes import RECIPES, Augmentation, debug
+from dsrc.training.recipes import RECIPES, Augmentation, debug, of_method
 from tests.dsrc.training.drive import write_drive
 
 
@@ -60,6 +60,17 @@ def test_a_training_sample_depends_on_seed_epoch_and_number_alone(data: Path) ->
     clouds = [s[(2, 1)].clouds[0] for s in sets]
     np.testing.assert_array_equal(clouds[0], clouds[1])
     assert clouds[0].shape != clouds[2].shape or not np.array_equal(clouds[0], clouds[2])
+
+
+def test_a_plain_network_of_single_vehicles_reads_the_sample_that_others_leave_of_the_team_s(data: Path) -> None:
+    recipe = of_method(debug(), "no-collaboration")
+    alone = replace(recipe, augmentation=replace(recipe.augmentation, alone=1.0))
+    settings = alone.settings("plain")
+    one = DetectionData(alone, settings, [data], None, seed=1).training[(0, 1)]
+    team = DetectionData(alone, replace(settings, role="teacher"), [data], None, seed=1).training[(0, 1)]
+    assert len(one.other_clouds) == 0 < len(team.other_clouds)
+    assert one.agent_ids == team.agent_ids and np.array_equal(one.clouds[0], team.clouds[0])
+    assert np.array_equal(one.boxes.object_id, team.boxes.object_id)
 
 
 def test_the_rate_rises_to_its_peak_and_falls_to_almost_nothing() -> None:
