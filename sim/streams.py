@@ -53,6 +53,7 @@ class Stream(Enum):
     SPRAY_NOISE = "list", None, "the seed is drawn from CORRUPTION; frame, agent"
     # Closed loop
     PERCEPTION_ERRORS = "child", 6, "object, or 0 for ghosts"
+    FAULT = "child", 23, "kind, 1 + frame or step (0: for the episode), agent"
     # Radio channel, children of the channel's own seed
     RADIO_SHADOWING = "child", 0, "agents, lower id first"
     RADIO_PACKETS = "child", 1, "instant, sender, receiver"

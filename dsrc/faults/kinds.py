@@ -78,6 +78,40 @@ class Age(FaultSettings, frozen=True):
     seconds: float
 
 
+class Freeze(FaultSettings, frozen=True):
+    """No number: a sensor repeats its last sweep."""
+
+
+class Blocked(FaultSettings, frozen=True):
+    """Part of the field that is covered, degrees, about a direction counter-clockwise from ahead."""
+
+    RANGES: ClassVar[Ranges] = {"width_deg": (0.0, 360.0), "middle_deg": (-360.0, 360.0)}
+    width_deg: float
+    middle_deg: float = 0.0
+
+
+class Dirt(FaultSettings, frozen=True):
+    """Share of the field that spots of dirt cover in the end, and the time in which they grow from none, s."""
+
+    RANGES: ClassVar[Ranges] = {"share": (0.0, 1.0), "growth_s": (0.0, inf)}
+    share: float
+    growth_s: float = 5.0
+
+
+class Misalignment(FaultSettings, frozen=True):
+    """Turn and place of a sensor against its calibration, degrees and cm, in its own frame."""
+
+    RANGES: ClassVar[Ranges] = dict.fromkeys(("yaw_deg", "pitch_deg", "roll_deg"), (-180.0, 180.0)) | dict.fromkeys(
+        ("ahead_cm", "aside_cm", "up_cm"), (-1e4, 1e4)
+    )
+    yaw_deg: float
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    ahead_cm: float = 0.0
+    aside_cm: float = 0.0
+    up_cm: float = 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class FaultKind:
     """One kind of fault.
@@ -96,6 +130,11 @@ class FaultKind:
 
 
 KINDS: dict[str, FaultKind] = {
+    "frame_drop": FaultKind("sensor", Share),
+    "freeze": FaultKind("sensor", Freeze),
+    "blocked": FaultKind("sensor", Blocked),
+    "dirt": FaultKind("sensor", Dirt),
+    "misalignment": FaultKind("sensor", Misalignment),
     "loss": FaultKind("radio", Share, "helpers", ("loss",)),
     "bursts": FaultKind("radio", Bursts, "helpers", ("burst_loss", "burst_s")),
     "delay": FaultKind("radio", Seconds, "helpers", ("delay_s",)),

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dsrc.closed_loop.kept import world_scene
 from dsrc.closed_loop.perception.liars import false_actors
 from dsrc.faults.fault import Fault, Faults, require_apart
+from dsrc.faults.sweeps import SensorFaults
 from sensors.corruptions import CLEAN, Condition
 from sensors.frame import Frame
 from sensors.recording.rig import Rig
@@ -35,7 +36,7 @@ class Senses:
     def __init__(self, condition: Condition, cooperative: bool, faults: Faults = ()) -> None:
         self.condition, self.cooperative = condition, cooperative
         first = () if condition.kind == CLEAN else (Fault.of(condition),)
-        self._faults = (*first, *(one for one in faults if one.what.place == "sensor"))
+        self._faults = (*first, *faults)
         self._named = faults
         self.agents: tuple[int, ...] = ()
         self.index = 0
@@ -44,6 +45,7 @@ class Senses:
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode."""
         self._rig = Rig(scenario, world_scene(scenario, seed), seed, visibility=False)
+        self._sensor_faults = SensorFaults(self._faults, seed)
         self._ego_id, self.agents, self.index = ego_id, (), 0
         self._steps: deque[Actors] = deque(maxlen=self._rig.margin(scenario.step_s) + 1)
 
@@ -73,10 +75,7 @@ class Senses:
         present = [agent for agent in self.agents if agent < 0 or agent in now.boxes.object_id]
         lies = false_actors(claims, now, present[1:])
         frame = self._rig.frame(self.index, present, now, oldest, only_for=lies)
-        for fault in self._faults:
-            if fault.at(now.time_s - self._start_s):
-                frame = fault.condition.among(present).apply(frame, self._rig.seed, self._ego_id)
-        return frame
+        return self._sensor_faults.apply(frame, self._ego_id, now.time_s - self._start_s)
 
     def _check_agents(self) -> None:
         """Raise SettingsError for an id that is no agent, or faults of one kind on one agent at once."""

@@ -20,7 +20,16 @@ from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, PLACES, SCENARIO,
 STEPS = 9
 FROM, TO = 3, 6
 """First step of a fault, and the first without it again."""
-SENSED = {"beam_missing": "beam_missing:5", "noise": "noise:5", "clock_offset": "clock_offset:5"}
+SENSED = {
+    "beam_missing": "beam_missing:5",
+    "noise": "noise:5",
+    "clock_offset": "clock_offset:5",
+    "frame_drop": "frame_drop:1",
+    "freeze": "freeze",
+    "blocked": "blocked:180",
+    "dirt": "dirt:0.8,growth_s=0",
+    "misalignment": "misalignment:2,up_cm=10",
+}
 RADIO = {
     "loss": "loss:1",
     "bursts": "bursts:0.99",
