@@ -29,6 +29,8 @@ SETTINGS = (
     "augmentation.thinning=0.3",
     "ema=0.998",
     f"batch_size={BATCH}",
+    "validate_every=4",
+    "validation_frames=24",
 )
 """Changes of the recipe `small`; lifts are errors of the fitted ground, thinning stands for sensors of fewer beams."""
 
