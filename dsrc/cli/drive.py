@@ -130,8 +130,10 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             run_campaign,
             take_episodes,
         )
+        from dsrc.closed_loop.causes.episodes import crash_causes
         from dsrc.closed_loop.report.baseline import read_baseline
         from dsrc.closed_loop.report.conditions import check_conditions
+        from dsrc.closed_loop.report.findings import Findings
         from dsrc.closed_loop.report.gate import Gate, campaign_junit
         from dsrc.closed_loop.report.report import check_publication, publish_report, write_report
         from dsrc.closed_loop.report.terminal import summary_table
@@ -169,14 +171,18 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         with progress(f"drive {plan.name}") as report:
             result = run_campaign(plan, out, self.pool, report, known)
         gate = Gate.of(result, conditions, baseline)
+        more = Findings(gate)
+        if self.out is not None or self.junit is not None:
+            with progress("causes of crashes") as report:
+                more = Findings(gate, crash_causes(result.plan, result.results, out / "episodes", report))
         console = Console(highlight=False)
         console.print(summary_table(result), *gate.tables())
         if self.junit is not None:
-            write_file(self.junit, campaign_junit(result, gate))
+            write_file(self.junit, campaign_junit(result, gate, more.sentences))
         if self.out is not None:
-            places = list(write_report(result, out, gate))
+            places = list(write_report(result, out, more))
             if self.docs is not None:
-                places += [publish_report(result, out, self.docs, gate), self.docs]
+                places += [publish_report(result, out, self.docs, more), self.docs]
             if any((out / "episodes").glob("*.npz")):
                 made(places, "results, tables and logs of episodes", "view", out, new=episodes > 0)
             else:  # all results are of an earlier run

@@ -14,10 +14,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.causes.cause import Cause
 from dsrc.closed_loop.metrics.comparison import Result, Value, collided, counted, metric
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, paired_rates, rate
+from dsrc.closed_loop.report.findings import counted_causes
 from dsrc.evaluation.results import condition_title
-from dsrc.tables.figure import WIDTH_IN, Style, add_legend, draw_cell, figure_style, panels, styles_of
+from dsrc.tables.figure import COLORS, WIDTH_IN, Style, add_legend, draw_cell, figure_style, panels, styles_of
 from sensors.corruptions import CLEAN
 
 _CMAP = "RdBu_r"
@@ -182,6 +185,26 @@ def cost_of_channel(
                 axes.set_xlabel(label if row else "")
                 axes.set_xticks(places if len(places) <= 8 else places[:: math.ceil(len(places) / 8)])
         add_legend(figure, parts[0], below=True)
+    return figure
+
+
+def shares_of_causes(results: Sequence[EpisodeResult], causes: Mapping[str, Cause], title: str = "") -> Figure:
+    """Draw the causes of crashes, a bar per perception and condition, stacked by what came late."""
+    kinds, counts = counted_causes(results, causes)
+    fills = dict(zip(kinds, COLORS, strict=False))
+    with figure_style():
+        figure, (axes,) = panels(WIDTH_IN, 1.2 + 0.3 * len(counts), title=title)
+        for y, own in enumerate(counts.values()):
+            left = 0
+            for kind in kinds:
+                axes.barh(y, own[kind], 0.7, left, color=fills[kind], edgecolor="white", label=None if y else kind)
+                if own[kind]:
+                    axes.text(left + 0.5 * own[kind], y, str(own[kind]), ha="center", va="center", color="white")
+                left += own[kind]
+        axes.set_yticks(range(len(counts)), [f"{perception}, {condition}" for perception, condition in counts])
+        axes.set(ylim=(len(counts) - 0.5, -0.5), xlabel="crashes")
+        axes.grid(visible=False, axis="y")
+        add_legend(figure, axes, below=True)
     return figure
 
 

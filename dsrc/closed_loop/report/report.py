@@ -11,7 +11,8 @@ import msgspec
 from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.metrics.comparison import Result
-from dsrc.closed_loop.report.gate import GATE_NAMES, NO_GATE, Gate
+from dsrc.closed_loop.report.findings import NOTHING, Findings, causes_csv
+from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.report.tables import NAMES, parts_of, tables
 from dsrc.runs.provenance import provenance
 from dsrc.tables.document import Section, check_document, publish
@@ -27,15 +28,16 @@ _PICTURES = {
     "corruptions": "Which corruption kills: collision rate of each perception, by scenario and corruption",
     "severities": "Collision rate over the severity of each corruption",
     "channels": "Cost of the delay and the loss of messages",
+    "shares": "Causes of the crashes",
 }
 """Captions of the plots, by name."""
 
 
-def write_report(result: CampaignResult, out: Path, gate: Gate = NO_GATE) -> list[Path]:
+def write_report(result: CampaignResult, out: Path, more: Findings = NOTHING) -> list[Path]:
     """Write report.md and its plots into the folder of a campaign; return the paths, and that of its results."""
     from dsrc.tables.figure import write_figure
 
-    pictures, plots = [], _plots(result)
+    pictures, plots = [], _plots(result, more)
     made_by = provenance(msgspec.to_builtins(result.plan), seed=0)  # the seeds are in the plan
     for name, plot in plots.items():
         path = out / f"{name}.png"
@@ -44,8 +46,12 @@ def write_report(result: CampaignResult, out: Path, gate: Gate = NO_GATE) -> lis
     for name in _PICTURES.keys() - plots.keys():
         (out / f"{name}.png").unlink(missing_ok=True)  # of a run before
     report = out / "report.md"
-    write_file(report, markdown(result, gate))
-    return [report, *pictures, out / "results.csv"]
+    write_file(report, markdown(result, more))
+    causes = [out / "causes.csv"] if more.causes else []
+    (out / "causes.csv").unlink(missing_ok=True)
+    for path in causes:
+        write_file(path, causes_csv(result.results, more.causes))
+    return [report, *pictures, out / "results.csv", *causes]
 
 
 def check_publication(plan: Campaign, document: Path) -> None:
@@ -57,7 +63,7 @@ def check_publication(plan: Campaign, document: Path) -> None:
     check_document(document, plan.name, (*NAMES, *_PICTURES))
 
 
-def publish_report(result: CampaignResult, out: Path, document: Path, gate: Gate = NO_GATE) -> Path:
+def publish_report(result: CampaignResult, out: Path, document: Path, more: Findings = NOTHING) -> Path:
     """Write the tables and plots of a campaign between their markers in a document, their files beside it.
 
     Args:
@@ -70,14 +76,14 @@ def publish_report(result: CampaignResult, out: Path, document: Path, gate: Gate
     Raises:
         DataError: the document is no text, or a begin marker has no end.
     """
-    found = sections(result, gate)
+    found = sections(result, more)
     absent = [name for name in (*NAMES, *_PICTURES) if name not in {section.name for section in found}]
-    files = ["report.md", "results.csv", *(f"{name}.png" for name in _plots(result))]
+    files = ["report.md", "results.csv", *(f"{name}.png" for name in _plots(result, more))]
     files += [f"{name}.csv" for name in ("controls", "careful") if getattr(result, name)]
     return publish(found, out, document, result.plan.name, files, absent)
 
 
-def markdown(result: CampaignResult, gate: Gate = NO_GATE) -> str:
+def markdown(result: CampaignResult, more: Findings = NOTHING) -> str:
     """Return the report of a campaign."""
     disturbed = "with a fault" if any(one.fault for one in result.results) else "corrupted"
     driven = {
@@ -86,7 +92,7 @@ def markdown(result: CampaignResult, gate: Gate = NO_GATE) -> str:
     }
     seeds = ", ".join(f"{_seeds(listed)} {what}" for what, listed in driven.items() if listed)
     parts = [f"# {result.plan.name}", f"Driven by `dsrc drive`: {len(result.results)} episodes, seeds {seeds}."]
-    for section in sections(result, gate):
+    for section in sections(result, more):
         title = "" if section.picture else f"## {section.about}\n\n"
         parts.append(f"{title}{section.markdown(Path()).strip()}")
     return "\n\n".join(parts) + "\n"
@@ -97,16 +103,16 @@ def _seeds(listed: Sequence[int]) -> str:
     return f"{listed[0]} to {listed[-1]}" if whole and len(listed) > 2 else " ".join(map(str, listed))
 
 
-def sections(result: CampaignResult, gate: Gate = NO_GATE) -> list[Section]:
+def sections(result: CampaignResult, more: Findings = NOTHING) -> list[Section]:
     """Return the tables and plots of a campaign as sections of a document, in the order of the report."""
-    every = tables(result, gate)
+    every = tables(result, more)
     found = [Section(name, replace(one, title="").markdown(), about=one.title) for name, one in every.items()]
-    plots = [Section(name, picture=f"{name}.png", about=_PICTURES[name]) for name in _plots(result)]
+    plots = [Section(name, picture=f"{name}.png", about=_PICTURES[name]) for name in _plots(result, more)]
     first = sum(section.name in (*GATE_NAMES, "conditions", "apart") for section in found)
     return [*found[:first], *plots, *found[first:]]
 
 
-def _plots(result: CampaignResult) -> "dict[str, Callable[[], Figure]]":
+def _plots(result: CampaignResult, more: Findings) -> "dict[str, Callable[[], Figure]]":
     """Return makers of the plots that a campaign has results for, by name: of one severity, but for theirs."""
     # Matplotlib takes as long to import as all else that a finished campaign's table needs.
     from dsrc.closed_loop.report.plots import (
@@ -114,6 +120,7 @@ def _plots(result: CampaignResult) -> "dict[str, Callable[[], Figure]]":
         cost_of_channel,
         deadly_corruptions,
         rate_over_severity,
+        shares_of_causes,
     )
 
     common, apart = parts_of(result)
@@ -131,6 +138,8 @@ def _plots(result: CampaignResult) -> "dict[str, Callable[[], Figure]]":
     cost = {label: value for label, value in quantities.items() if len({value(one) for one in clean}) > 1}
     if cost:
         plots["channels"] = partial(cost_of_channel, clean, cost)
+    if more.causes:
+        plots["shares"] = partial(shares_of_causes, every, more.causes)
     return plots
 
 

@@ -24,7 +24,8 @@ from dsrc.closed_loop.metrics.comparison import (
 from dsrc.closed_loop.metrics.statistics import PairedRates, paired_rates, rate
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR
 from dsrc.closed_loop.report.cells import COLUMNS, condition, condition_cells, groups, percent, share
-from dsrc.closed_loop.report.gate import GATE_NAMES, NO_GATE, Gate
+from dsrc.closed_loop.report.findings import NOTHING, Findings, counted_causes
+from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.types import Outcome
 from dsrc.tables.table import Column, Strong, Table, TableRow
 from sensors.corruptions import CLEAN
@@ -39,6 +40,7 @@ NAMES = {
     "differences": "Paired crashes",
     "arrivals": "Paired arrivals",
     "robustness": "Closed-loop corruption error",
+    "reasons": "Causes of crashes",
     "causes": "What came late",
     "hardest": "Hardest crashes",
     "controls": "Controls",
@@ -59,13 +61,13 @@ _PAIRED = (
 )
 
 
-def tables(result: CampaignResult, gate: Gate = NO_GATE) -> dict[str, Table]:
+def tables(result: CampaignResult, more: Findings = NOTHING) -> dict[str, Table]:
     """Tables that a campaign has results for, by name, those of its gate first."""
     common, apart = parts_of(result)
     first = result.plan.radios[0]
     of_first = [[one for one in part if one.channel == first] for part in (common, apart)]
     found = [
-        *gate.tables(),
+        *more.gate.tables(),
         _all_scenarios(result, common),
         _apart(result, apart),
         _crashed(of_first[0]),
@@ -74,6 +76,7 @@ def tables(result: CampaignResult, gate: Gate = NO_GATE) -> dict[str, Table]:
         _differences(result.plan, common),
         _arrivals(result.plan, of_first[0]),
         _robustness(result.plan, of_first[0]),
+        _reasons(result.results, more),
         _causes(of_first[0]),
         _worst(result),
         _controls(result),
@@ -306,6 +309,22 @@ def _robustness(plan: Campaign, results: Sequence[EpisodeResult]) -> Table:
             rows.append((spec.name, *("" if value != value else f"{value:.2f}" for value in values)))
     text = f"Collision rate under a corruption over that of {alone}; 1 is as bad."
     return _table("robustness", ["perception", "mCE", *kinds], rows, text)
+
+
+def _reasons(results: Sequence[EpisodeResult], more: Findings) -> Table:
+    """Table of the causes of the crashes, each of one log."""
+    kinds, counts = counted_causes(results, more.causes)
+    rows = [
+        (perception, title, str(sum(own.values())), *(str(own[kind]) for kind in kinds))
+        for (perception, title), own in counts.items()
+    ]
+    text = (
+        "Crashes by what came first after the last chance, the last step from which full braking avoids the crash. "
+        "Unavoidable: the first sight of the road user, also of a driver who does not expect it. Missed: in sight in "
+        "time, and no box. Seen, tracked, braked late: the first box, the track, full braking. Told wrongly: drove for "
+        "a road user that only a helper's false report has. The sentence of each crash is in causes.csv."
+    )
+    return _table("reasons", ["perception", "condition", "crashes", *kinds], rows, text, left=2)
 
 
 def _causes(results: Sequence[EpisodeResult]) -> Table:

@@ -1,5 +1,6 @@
 """Gate of a campaign: conditions, the baseline, JUnit."""
 
+import csv
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +11,12 @@ import pytest
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.run import CampaignResult, results_csv
+from dsrc.closed_loop.causes.cause import Cause
 from dsrc.closed_loop.report.baseline import changes, read_baseline
 from dsrc.closed_loop.report.conditions import Condition, check_conditions, judged
+from dsrc.closed_loop.report.findings import Findings
 from dsrc.closed_loop.report.gate import Gate, campaign_junit
-from dsrc.closed_loop.report.report import markdown
+from dsrc.closed_loop.report.report import markdown, write_report
 from sim.errors import DataError, SettingsError
 from tests.commands import dsrc
 from tests.dsrc.closed_loop.results import PLAN, RESULTS, one
@@ -138,7 +141,7 @@ def test_the_report_begins_with_its_gate() -> None:
     better = [replace_outcome(each, "arrived") if each.perception == "alone" else each for each in RESULTS]
     gate = Gate.of(replace(RESULT, results=tuple(better)), [Condition.parse("broken<=0")], RESULTS)
     assert gate.holds and not math.isnan(gate.verdicts[0].found.value)
-    text = markdown(RESULT, gate)
+    text = markdown(RESULT, Findings(gate))
     assert text.index("## Conditions") < text.index("## Against the baseline") < text.index("## All scenarios")
     assert "| alone | clean | 3 | 0 | 0 | 0 | 0 | 0 | -100 %" in text
     assert "Conditions" not in markdown(RESULT)
@@ -158,3 +161,26 @@ def test_the_command_exits_with_1_where_a_condition_fails(tmp_path: Path) -> Non
     assert second.returncode == 0, second.stderr
     cases = ElementTree.parse(tmp_path / "drive.xml").findall(".//testcase")
     assert [case.get("name") for case in cases] == ["broken<=0, truth", "seed 0"]
+
+
+def test_causes_stand_in_a_table_a_plot_and_a_file(tmp_path: Path) -> None:
+    crashed = [msgspec.structs.replace(one("alone", seed, "crashed"), key=str(seed)) for seed in range(3)]
+    crashed += [msgspec.structs.replace(one("alone", 0, "crashed", "fog"), key="3")]
+    causes = {
+        "0": Cause(kind="missed", sentence="missed: the car 1001", chance_s=1.5),
+        "1": Cause(kind="seen late", sentence="seen late by 200 ms: the car 1001", late_s=0.2),
+        "3": Cause(kind="missed", sentence="missed: the car 1002"),
+    }
+    result = CampaignResult(PLAN, tuple(crashed), (), (), 0, 0.0)
+    write_report(result, tmp_path, Findings(causes=causes))
+    text = (tmp_path / "report.md").read_text()
+    assert "| alone | clean | 2 | 1 | 1 |\n| alone | fog 3 | 1 | 1 | 0 |" in text.replace("fog, severity 3", "fog 3")
+    assert (tmp_path / "shares.png").stat().st_size > 1000
+    lines = list(csv.DictReader((tmp_path / "causes.csv").read_text().splitlines()))
+    assert [(line["seed"], line["kind"], line["late_s"]) for line in lines] == [
+        ("0", "missed", ""),
+        ("1", "seen late", "0.2"),
+        ("0", "missed", ""),
+    ]
+    write_report(result, tmp_path)
+    assert not (tmp_path / "causes.csv").exists() and not (tmp_path / "shares.png").exists()

@@ -1,0 +1,58 @@
+"""What a report says beside the results of a campaign: how its gate judged them, and the causes of its crashes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+
+from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.causes.cause import KINDS, Cause
+from dsrc.closed_loop.report.cells import condition
+from dsrc.closed_loop.report.gate import NO_GATE, Gate
+from dsrc.tables.files import csv_text
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a report says beside the results.
+
+    Attributes:
+        gate: what was asked of them.
+        causes: of crashes whose logs are there, by the keys of their episodes.
+    """
+
+    gate: Gate = NO_GATE
+    causes: Mapping[str, Cause] = field(default_factory=dict)
+
+    @property
+    def sentences(self) -> dict[str, str]:
+        """Causes in words."""
+        return {key: cause.sentence for key, cause in self.causes.items()}
+
+
+NOTHING = Findings()
+"""Nothing but the results."""
+
+
+def counted_causes(
+    results: Sequence[EpisodeResult], causes: Mapping[str, Cause]
+) -> tuple[list[str], dict[tuple[str, str], dict[str, int]]]:
+    """Return the kinds of causes that crashes have, and their numbers by perception and condition."""
+    counts: dict[tuple[str, str], dict[str, int]] = {}
+    for one in results:
+        if (cause := causes.get(one.key)) is not None:
+            own = counts.setdefault((one.perception, condition(one)), dict.fromkeys(KINDS, 0))
+            own[cause.kind] += 1
+    kinds = [kind for kind in KINDS if any(own[kind] for own in counts.values())]
+    return kinds, counts
+
+
+def causes_csv(results: Sequence[EpisodeResult], causes: Mapping[str, Cause]) -> str:
+    """Return the causes as CSV, a line per crash."""
+    named = ("scenario", "perception", "corruption", "severity", "who", "channel", "seed", "key")
+    rows = [
+        {name: getattr(one, name) for name in named} | msgspec.to_builtins(causes[one.key])
+        for one in results
+        if one.key in causes
+    ]
+    return csv_text(rows, (*named, *Cause.__struct_fields__))
