@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
-from dsrc.closed_loop.causes.cause import KINDS, Cause
+from dsrc.closed_loop.causes.cause import KINDS, Cause, Kind
 from dsrc.closed_loop.report.cells import condition
 from dsrc.closed_loop.report.gate import NO_GATE, Gate
 from dsrc.tables.files import csv_text
@@ -36,9 +36,9 @@ NOTHING = Findings()
 
 def counted_causes(
     results: Sequence[EpisodeResult], causes: Mapping[str, Cause]
-) -> tuple[list[str], dict[tuple[str, str], dict[str, int]]]:
+) -> tuple[list[Kind], dict[tuple[str, str], dict[Kind, int]]]:
     """Return the kinds of causes that crashes have, and their numbers by perception and condition."""
-    counts: dict[tuple[str, str], dict[str, int]] = {}
+    counts: dict[tuple[str, str], dict[Kind, int]] = {}
     for one in results:
         if (cause := causes.get(one.key)) is not None:
             own = counts.setdefault((one.perception, condition(one)), dict.fromkeys(KINDS, 0))
@@ -49,7 +49,7 @@ def counted_causes(
 
 def causes_csv(results: Sequence[EpisodeResult], causes: Mapping[str, Cause]) -> str:
     """Return the causes as CSV, a line per crash."""
-    named = ("scenario", "perception", "corruption", "severity", "who", "channel", "seed", "key")
+    named = ("scenario", "perception", "corruption", "severity", "who", "channel", "fault", "seed", "key")
     rows = [
         {name: getattr(one, name) for name in named} | msgspec.to_builtins(causes[one.key])
         for one in results
