@@ -8,7 +8,8 @@ from tyro.conf import Positional, arg
 from dsrc.options.detection import AutoEngine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, changed_radios, choice
 
-PERCEPTIONS = ("truth", "sight", "ego", "team", "late", "FILE", "MODEL.json", "MODULE:CLASS")
+DriverName = Literal["planning", "anticipating", "careful"]
+PERCEPTIONS = ("truth", "sight", "team-sight", "ego", "team", "late", "FILE", "MODEL.json", "MODULE:CLASS")
 
 
 class DriveOptions(msgspec.Struct, frozen=True):
@@ -16,10 +17,10 @@ class DriveOptions(msgspec.Struct, frozen=True):
 
     Attributes:
         what: scenario, TOML of a campaign, or log of an episode to look at again.
-        perception: what the ego perceives: the truth, the truth in its line of sight, its detector alone, the detector
-            with helpers, detections of each agent alone joined (late), the detector of a file with helpers
-            (ego=FILE: alone, late=FILE: joined), an error model (dsrc model fit), or a class of one's own;
-            NAME=PERCEPTION names a line of the table; default: truth.
+        perception: what the ego perceives: the truth, the truth in its line of sight or in any agent's (team-sight),
+            its detector alone, the detector with helpers, detections of each agent alone joined (late), the detector of
+            a file with helpers (ego=FILE: alone, late=FILE: joined), an error model (dsrc model fit), or a class of
+            one's own; NAME=PERCEPTION names a line of the table; default: truth.
         checkpoint: detector file; default: the shipped one.
         corruption: kinds of corruption, each in episodes of its own; paper_six are those of the paper's tables;
             default: none.
@@ -36,8 +37,9 @@ class DriveOptions(msgspec.Struct, frozen=True):
         seed: seeds of the episodes, one each; default: 0.
         engine: execution of the network, see dsrc evaluate; auto is bf16 where the processor computes it and the
             detector is as good in it, else fused.
-        driver: driver: plans by predicted tracks, or the careful driver of UN R157; default: planning.
-        duration_s: longest episode, s; default: 20.
+        driver: driver: plans by predicted tracks, also anticipates road users that it cannot see, or the careful driver
+            of UN R157; default: planning.
+        duration_s: longest episode, s; default: 20, for anticipating 30.
         detect_every_s: interval of detections, s; default: 0.1.
         latency_s: time from a measurement to its detections, s; default: 0.
         look_ahead_s: reaction time of the stopping distance that the detector's range is shifted ahead to cover, s, by
@@ -58,7 +60,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     fault: Annotated[tuple[str, ...], arg(metavar="FAULT [...]")] = ()
     seed: tuple[int, ...] = ()
     engine: AutoEngine = "auto"
-    driver: Literal["planning", "careful"] | None = None
+    driver: DriverName | None = None
     duration_s: float | None = None
     detect_every_s: float | None = None
     latency_s: float | None = None

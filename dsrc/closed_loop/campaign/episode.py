@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
+from dsrc.closed_loop.driving.anticipating import AnticipatingDriver
 from dsrc.closed_loop.driving.careful import CarefulDriver
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.encounter import conflict_class
@@ -29,7 +30,11 @@ from sim.errors import DataError, complaint
 from sim.files import write_file
 from sim.scenario import Scenario
 
-DRIVERS: dict[str, Callable[[], Driver]] = {"planning": PlanningDriver, "careful": CarefulDriver}
+DRIVERS: dict[str, Callable[[], Driver]] = {
+    "planning": PlanningDriver,
+    "anticipating": AnticipatingDriver,
+    "careful": CarefulDriver,
+}
 """Drivers by name."""
 
 

@@ -22,7 +22,7 @@ Paths are relative to the file, or else to the current folder.
 import dataclasses
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -48,7 +48,7 @@ from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
 from dsrc.faults.fault import faults_text, parse_faults
 from dsrc.options.detection import AutoEngine
-from dsrc.options.driving import DriveOptions
+from dsrc.options.driving import DriveOptions, DriverName
 from dsrc.options.fields import RENAMED, changed_radios
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.catalog.load import load_scenario
@@ -67,6 +67,8 @@ COMPUTED_BY = "dsrc.closed_loop.campaign.episode"
 
 _OF_RADIO = ("channel", "loss", "delay_s", "pose_error")
 _IDEAL_RADIO: dict[str, Any] = {"channel": (IDEAL,), "loss": None, "delay_s": None, "pose_error": None}
+_PATIENT, _PATIENT_S = ("anticipating",), 30.0
+"""Drivers that may arrive late, and the longest episodes of a plan with one, where it does not say it, s."""
 _AS_GIVEN = ("severity", "family", "corrupted_agents", *_OF_RADIO, "fault", "engine", "driver")
 """Options of `dsrc drive` that are fields of a campaign."""
 
@@ -79,15 +81,17 @@ class PerceptionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     Attributes:
         name: in tables.
-        uses: `truth`, `sight` (truth in the ego's line of sight), `ego` (detector without helpers), `team` (detector
-            with helpers), `late` (their detections joined), `model` (errors of a detector, from the JSON of
-            `dsrc model fit`), or `module:Class` of one's own; "": the name.
+        uses: `truth`, `sight` (truth in the ego's line of sight), `team-sight` (in any agent's), `ego` (detector
+            without helpers), `team` (detector with helpers), `late` (their detections joined), `model` (errors of a
+            detector, from the JSON of `dsrc model fit`), or `module:Class` of one's own; "": the name.
         checkpoint: detector file, or the JSON of `model`; "": the shipped detector.
+        driver: of these episodes; "": that of the campaign.
     """
 
     name: str
     uses: str = ""
     checkpoint: str = ""
+    driver: DriverName | Literal[""] = ""
 
     @property
     def kind(self) -> str:
@@ -115,7 +119,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         seeds: those of each scenario, perception, corruption, severity or fault, and channel; the same for all.
         engine: execution of the networks, see `dsrc.models.storage.deploy.ENGINES`; `auto` becomes the fastest that
             serves all detectors of the campaign, see `with_engine`.
-        driver: `planning`, or `careful` for the reference driver of UN R157.
+        driver: `planning`, `anticipating` what it cannot see, or `careful` for the reference driver of UN R157.
         loop: intervals and limits of time.
         controls: drive the controls of encounters with the truth first, and refuse to continue where one fails.
         careful: drive the reference driver of UN R157 with the truth too: crashes that it avoids are avoidable.
@@ -136,7 +140,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     clean_seeds: Seeds = 20
     seeds: Seeds = 10
     engine: AutoEngine = "auto"
-    driver: Literal["planning", "careful"] = "planning"
+    driver: DriverName = "planning"
     loop: LoopSettings = LoopSettings()
     controls: bool = True
     careful: bool = True
@@ -193,10 +197,19 @@ def read_campaign(path: Path) -> Campaign:
     check(plan, str(path))
     given = read_tables(path, SettingsError)
     given |= {new: given[old] for old, new in RENAMED.items() if old in given}
+    plan = _patient(plan, given.get("loop", {}))
     for field, expected in _without_effect(plan):
         if given.get(field) not in (None, [], [CLEAN], [IDEAL]):
             raise SettingsError(complaint(path, field, expected, f"{given[field]}"))
     return with_engine(plan)
+
+
+def _patient(plan: Campaign, loop: Mapping[str, Any]) -> Campaign:
+    """Return a campaign whose episodes leave room for a slow driver, unless its settings of the loop say how long."""
+    drivers = {one.driver or plan.driver for one in plan.perceptions}
+    if "duration_s" in loop or not drivers & set(_PATIENT):
+        return plan
+    return replace(plan, loop=replace(plan.loop, duration_s=_PATIENT_S))
 
 
 def with_engine(plan: Campaign) -> Campaign:
@@ -284,6 +297,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
         **{name: given[name] for name in _AS_GIVEN if name in given},
     }
     plan = convert({**listed, "perceptions": msgspec.to_builtins(perceptions)}, Campaign, "drive", SettingsError)
+    plan = _patient(plan, loop)
     check(plan, "drive")
     for field, expected in _without_effect(plan):
         if field in (*_OF_RADIO, "engine") and given.get(field) not in (None, (IDEAL,)):
@@ -395,7 +409,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                             radio=get_channel(channel).decisive(),
                             seed=seed,
                             engine=plan.engine if _has_detector(one) else "fused",
-                            driver=plan.driver,
+                            driver=one.driver or plan.driver,
                             loop=plan.loop,
                             versions=versions,
                             code=code,

@@ -66,9 +66,8 @@ def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], No
     outcomes: dict[float, Outcome] = {}
 
     def fine(value: float) -> bool:
-        loop = ClosedLoop(
-            plan.scenarios[0], _perception(plan, one, kind, quantity, value), DRIVERS[plan.driver](), plan.loop
-        )
+        perception, driver = _perception(plan, one, kind, quantity, value), DRIVERS[one.driver or plan.driver]()
+        loop = ClosedLoop(plan.scenarios[0], perception, driver, plan.loop)
         outcomes[value] = loop.run(seed)
         if progress is not None:
             progress(len(outcomes), len(outcomes) + 1)

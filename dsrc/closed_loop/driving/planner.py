@@ -101,8 +101,12 @@ class PlanningDriver:
         self._last_s = -math.inf
         self._stopping = self._alarmed = False
 
-    def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
-        """Return the acceleration for the next step."""
+    def decide(self, ego: EgoState, tracks: Tracks, most_mps2: float = math.inf) -> Decision:
+        """Return the acceleration for the next step.
+
+        Args:
+            most_mps2: bound of it, for what may be hidden.
+        """
         s = self.settings
         horizon_s, length_m = s.prediction.horizon_s, float(ego.box.size[0, 0])
         reach_m = length_m + _BEYOND_M + ego.speed_mps * horizon_s + 0.5 * s.following.acceleration_mps2 * horizon_s**2
@@ -112,6 +116,8 @@ class PlanningDriver:
         occupancy = occupancy_of(path, ego.box.size[0, :2], prediction, s.clearance)
         line_m = self._stop_line(ego)
         bound = self._bound(ego, path, occupancy, line_m, tracks, prediction.time_s)
+        if most_mps2 < bound.acceleration_mps2:
+            bound = _Bound(most_mps2, "hidden")
         occupancy = _with_line(occupancy, line_m, len(prediction.time_s))
         return self._choose(ego, bound, occupancy, prediction.time_s, tracks)
 

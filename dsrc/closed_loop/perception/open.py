@@ -14,7 +14,7 @@ from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, Co
 from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
-WITHOUT_SENSOR = ("truth", "sight")
+WITHOUT_SENSOR = ("truth", "sight", "team-sight")
 """Ground truth: no corruption, channel or checkpoint applies."""
 ALONE = "ego"
 """A detector on the ego's sweeps alone."""
@@ -52,7 +52,8 @@ def open_perception(
     Args:
         text: one of
 
-            * `truth`: all road users near the ego; `sight`: those that its LiDAR can see;
+            * `truth`: all road users near the ego; `sight`: those that its LiDAR can see; `team-sight`: those that it
+              or a helper's can;
             * `ego`: a detector on the ego's sweeps alone; `team`: one with helpers; `late`: each agent's detections,
               joined, by a detector whose fusion has no weights, such as the shipped ones;
             * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`: without; `late=FILE`: late fusion;
@@ -96,7 +97,7 @@ def open_perception(
         given = {"corruption": corrupted, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
         given["fault"] = sensed
         _refuse(text, "a sensor", given)
-        return TruthPerception() if name == "truth" else SightPerception()
+        return TruthPerception() if name == "truth" else SightPerception(cooperative=name == "team-sight")
     if name == MODELLED:
         _refuse(text, "a sensor", {"fault": sensed})
         return _modelled(text, Path(file) if file else checkpoint, condition, channel)
@@ -136,7 +137,7 @@ class Words(NamedTuple):
 
     Attributes:
         name: in tables: NAME of NAME=FILE, the stem of FILE, else what was given.
-        kind: `truth`, `sight`, `ego`, `team`, `late`, `model` or `module:Class`.
+        kind: `truth`, `sight`, `team-sight`, `ego`, `team`, `late`, `model` or `module:Class`.
         file: detector or error model, "" without one.
     """
 

@@ -1,4 +1,4 @@
-"""Ground truth as a perception: of all road users nearby, or of those that the ego's LiDAR can see."""
+"""Ground truth as a perception: of all road users nearby, or of those that the LiDARs can see."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,17 +40,20 @@ class TruthPerception:
 
 
 class SightPerception(TruthPerception):
-    """Ground truth of the road users on which the ego's LiDAR has points now: a perfect detector without helpers.
+    """Ground truth of the road users on which a LiDAR has points now: a perfect detector, which believes no lie.
 
     Args:
-        reach_m: range, m.
-        least_points: on a road user that is seen; as many as an encounter's proof denies the ego.
+        reach_m: range from the ego, m.
+        least_points: of one LiDAR on a road user that is seen; as many as an encounter's proof denies the ego.
+        cooperative: the helpers' LiDARs see too, without a radio between: the best that any sharing could give.
     """
 
-    def __init__(self, reach_m: float = REACH_M, least_points: int = UNSEEN_POINTS) -> None:
+    def __init__(
+        self, reach_m: float = REACH_M, least_points: int = UNSEEN_POINTS, *, cooperative: bool = False
+    ) -> None:
         super().__init__(reach_m)
-        self.least_points = least_points
-        self._senses = Senses(Condition(), cooperative=False)
+        self.least_points, self.cooperative = least_points, cooperative
+        self._senses = Senses(Condition(), cooperative)
 
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode."""
@@ -61,9 +64,11 @@ class SightPerception(TruthPerception):
         """Return the other actors within reach and sight, with their ids and velocities."""
         near = super().perceive(before, now, claims)
         frame = self._senses.frame(before, now, {})
-        seen = frame.truth.object_id[frame.points_on[0] >= self.least_points]
-        rows = np.isin(now.boxes.object_id, np.intersect1d(near.boxes.object_id, seen))
-        return _percept(now, rows, seen_of([(agent, None) for agent in frame.agents]))
+        seen = frame.truth.object_id[frame.points_on.max(axis=0) >= self.least_points]
+        known = np.union1d(seen, self._senses.agents)  # helpers tell where they are
+        rows = np.isin(now.boxes.object_id, np.intersect1d(near.boxes.object_id, known))
+        agents = sorted(frame.agents, key=lambda agent: agent.agent_id != self._ego_id)
+        return _percept(now, rows, seen_of([(agent, None) for agent in agents]))
 
 
 def _percept(now: Actors, rows: NDArray[np.bool_], seen: SeenSpace) -> Percept:

@@ -178,6 +178,27 @@ def test_the_careful_driver_drives_the_seeds_that_others_drive(
     assert {job.seed for job in episodes_of(plan)} == seeds
 
 
+def test_a_line_of_a_plan_may_have_a_driver_of_its_own() -> None:
+    eyes = (PerceptionSpec(name="truth"), PerceptionSpec(name="careful", uses="truth", driver="careful"))
+    jobs = episodes_of(replace(PLAN, perceptions=eyes))
+    assert {(job.perception, job.driver) for job in jobs} == {("truth", "planning"), ("careful", "careful")}
+    alone = episodes_of(replace(PLAN, perceptions=eyes[:1]))
+    assert {episode_key(job) for job in alone} < {episode_key(job) for job in jobs}
+
+
+def test_episodes_leave_room_for_a_driver_that_may_be_late_unless_the_plan_says_how_long(tmp_path: Path) -> None:
+    def seconds(text: str) -> float:
+        path = tmp_path / "plan.toml"
+        path.write_text(f'scenarios = ["ima_building"]\n{text}\n[[perceptions]]\nname = "truth"\n')
+        return read_campaign(path).loop.duration_s
+
+    asked = DriveOptions(what="ima_building", driver="anticipating")
+    assert seconds("") == campaign_of(DriveOptions(what="ima_building")).loop.duration_s == 20.0
+    assert seconds('driver = "anticipating"') == campaign_of(asked).loop.duration_s == 30.0
+    assert seconds('driver = "anticipating"\nloop = { duration_s = 12.0 }') == 12.0
+    assert campaign_of(replace(asked, duration_s=12.0)).loop.duration_s == 12.0
+
+
 def test_repeated_seeds_of_a_command_line_are_refused() -> None:
     with pytest.raises(SettingsError, match="drive: seed: expected numbers that differ, found 4"):
         campaign_of(DriveOptions(what="ima_building", seed=(4, 4)))
@@ -190,7 +211,7 @@ def test_repeated_seeds_of_a_command_line_are_refused() -> None:
         ('corruption = ["mist"]', "mist"),
         ("seeds = 0", "seeds"),
         ('channel = ["pigeon"]', "pigeon"),
-        ('driver = "reckless"', "driver: expected one of planning, careful, found reckless"),
+        ('driver = "reckless"', "driver: expected one of planning, anticipating, careful, found reckless"),
         ("colour = 1", "colour"),
         ("clean_seeds = [1, 1]", "clean_seeds"),
         ('corruption = ["fog", "fog"]', "corruption"),

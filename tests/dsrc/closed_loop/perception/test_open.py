@@ -66,7 +66,9 @@ def test_the_engine_of_a_detector_is_known(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_truth_and_sight() -> None:
     assert type(open_perception("truth")) is TruthPerception
-    assert type(open_perception("sight")) is SightPerception
+    for name, cooperative in (("sight", False), ("team-sight", True)):
+        sight = open_perception(name)
+        assert type(sight) is SightPerception and sight.cooperative == cooperative
 
 
 @pytest.mark.parametrize(
@@ -196,6 +198,7 @@ def test_what_does_not_load_is_an_error_of_one_line(own: None, text: str, messag
     [
         ("truth", {"corruption": "fog"}, "corruption"),
         ("sight", {"channel": "paper"}, "channel"),
+        ("team-sight", {"channel": "paper"}, "channel"),
         ("truth", {"checkpoint": SHIPPED_DETECTOR}, "checkpoint"),
         ("my_eyes:Own", {"corruption": "fog"}, "corruption"),
         ("my_eyes:Own", {"checkpoint": SHIPPED_DETECTOR}, "checkpoint"),

@@ -35,6 +35,12 @@ def test_a_wall_hides_from_sight_what_truth_knows() -> None:
     assert percept(SightPerception()).boxes.object_id.tolist() == [NEAR]
 
 
+def test_what_a_helper_sees_is_in_the_sight_of_the_team_and_no_lie_is() -> None:
+    seen = percept(SightPerception(cooperative=True))
+    assert seen.boxes.object_id.tolist() == [HELPER, NEAR, HIDDEN]
+    assert seen.seen is not None and [view.agent_id for view in seen.seen.views] == [EGO, HELPER]
+
+
 def test_sight_without_a_wall_is_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.sensors.fakes import ground
 
