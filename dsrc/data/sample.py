@@ -88,6 +88,7 @@ class SampleRequest:
         team_by: order of the rules of range and number.
         keep_ego_box: the ego's own box counts where a collaborator has a point on it, as in OpenCOOD.
         truth_range_m: range of the ground truth; None is the grid's.
+        min_points: points that an agent has on a road user that it has seen.
     """
 
     grid: GridSpec
@@ -97,6 +98,7 @@ class SampleRequest:
     team_by: TeamBy = "range"
     keep_ego_box: bool = False
     truth_range_m: Range | None = None
+    min_points: int = 1
 
     @property
     def judged_m(self) -> Range:
@@ -177,7 +179,7 @@ def make_sample(
     eligible = users_in(truth, asked.users) & counted(truth, asked.judged_m, region)
     if not asked.keep_ego_box:
         eligible &= truth.object_id != ego.agent_id
-    seen = frame.points_on[rows] >= 1
+    seen = frame.points_on[rows] >= asked.min_points
     ids = np.array([frame.agents[row].agent_id for row in rows])
     annotated = eligible & seen & (truth.object_id != ids[:, None])
     active = rows if cooperative else rows[:1]

@@ -100,7 +100,10 @@ class DetectionData(pl.LightningDataModule):
         request = recipe.model.request
         exactly = replace(request, keep_ego_box=request.keep_ego_box or recipe.labels.ego_box)
         grid = source_grid(request.grid, recipe.augmentation)
-        whole = replace(request, grid=grid, keep_ego_box=recipe.labels.ego_box, truth_range_m=None)
+        labels = recipe.labels
+        whole = replace(
+            request, grid=grid, keep_ego_box=labels.ego_box, truth_range_m=None, min_points=labels.min_points
+        )
         if recipe.augmentation.alone == 1 and not settings.distils and settings.role == "student":
             whole = replace(whole, max_agents=1)  # the others' clouds would be dropped
         wide = SampleStore(drives, whole)

@@ -28,6 +28,7 @@ SETTINGS = (
     "augmentation.height_m=0.15",
     "augmentation.thinning=0.3",
     "ema=0.998",
+    "labels.min_points=5",
     f"batch_size={BATCH}",
     "validate_every=4",
     "validation_frames=24",
