@@ -24,8 +24,8 @@ class LabelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         targets: overlap by which anchors are positive: the true one, or the `released` one, which adds a metre to all
             sides.
         ego_box: the ego's own body is an object where a collaborator has seen it, as in OpenCOOD.
-        min_points: points that an agent has on what it has seen: boxes of which no agent has as many are no ground truth of
-            a training. With 5, as benchmarks of real roads count them, a network does not learn to guess.
+        min_points: points that an agent has on what it has seen: boxes of which no agent has as many are no ground
+            truth of a training. With 5, as benchmarks of real roads count them, a network does not learn to guess.
         max_pillars: pillars per cloud in training, where fewer than the network's; None is the network's.
     """
 
