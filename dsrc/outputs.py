@@ -10,7 +10,7 @@ _MARKS = {
     "picture": (b"Description\0{",),
     "animation": (COMMENT,),
     "MCAP recording": (b"dsrc-testbed",),
-    "web page": (b"__REVIEW__",),
+    "web page": (b"__REVIEW__", b'content="dsrc drive"'),
     "network": (b"dsrc-testbed",),
     "data": (
         b'# {"',

@@ -5,6 +5,7 @@ import math
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from dsrc.tables.files import Scalar, csv_text
@@ -169,6 +170,22 @@ class Table:
 
     _repr_markdown_ = markdown
 
+    def html(self) -> str:
+        """HTML of the rows alone, all texts escaped; numbers have the class `n`."""
+        if not self.rows:
+            return ""
+        kinds = ["", *("" if column.align == "left" else " class=n" for column in self.columns)]
+
+        def line(tag: str, cells: Iterable[str]) -> str:
+            made = (f"<{tag}{kind}>{cell}</{tag}>" for kind, cell in zip(kinds, cells, strict=True))
+            return f"<tr>{''.join(made)}</tr>"
+
+        lines = [line("th", [escape(head) for head in (self.head, *(column.head for column in self.columns))])]
+        for row in self.rows:
+            pieces = [self._pieces(row, i) for i in range(len(self.columns))]
+            lines.append(line("td", [escape(row.title), *(" / ".join(map(_tagged, of_cell)) for of_cell in pieces)]))
+        return f"<table>{''.join(lines)}</table>"
+
     def records(self) -> list[dict[str, Scalar]]:
         """Rows as JSON types by the names of their columns: numbers unscaled, unknown ones None."""
         listed = []
@@ -266,6 +283,11 @@ def _known(value: str | float | None) -> Scalar:
 def _marked(text: str) -> str:
     """Text in Markdown."""
     return f"**{text}**" if isinstance(text, Strong) and text else text
+
+
+def _tagged(text: str) -> str:
+    """Text in HTML."""
+    return f"<b>{escape(text)}</b>" if isinstance(text, Strong) and text else escape(text)
 
 
 def _text(pieces: Sequence[str]) -> "Text":

@@ -13,6 +13,7 @@ from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.metrics.comparison import Result
 from dsrc.closed_loop.report.findings import NOTHING, Findings, causes_csv
 from dsrc.closed_loop.report.gate import GATE_NAMES
+from dsrc.closed_loop.report.page import campaign_page
 from dsrc.closed_loop.report.tables import NAMES, parts_of, tables
 from dsrc.runs.provenance import provenance
 from dsrc.tables.document import Section, check_document, publish
@@ -34,7 +35,7 @@ _PICTURES = {
 
 
 def write_report(result: CampaignResult, out: Path, more: Findings = NOTHING) -> list[Path]:
-    """Write report.md and its plots into the folder of a campaign; return the paths, and that of its results."""
+    """Write report.md, its plots and report.html into the folder of a campaign; return all paths of its results."""
     from dsrc.tables.figure import write_figure
 
     pictures, plots = [], _plots(result, more)
@@ -51,7 +52,10 @@ def write_report(result: CampaignResult, out: Path, more: Findings = NOTHING) ->
     (out / "causes.csv").unlink(missing_ok=True)
     for path in causes:
         write_file(path, causes_csv(result.results, more.causes))
-    return [report, *pictures, out / "results.csv", *causes]
+    page, every = out / "report.html", tables(result, more).values()
+    shown = [(_PICTURES[name], out / f"{name}.png") for name in plots]
+    write_file(page, campaign_page(result, more, every, shown, out / "episodes"))
+    return [report, page, *pictures, out / "results.csv", *causes]
 
 
 def check_publication(plan: Campaign, document: Path) -> None:
