@@ -137,13 +137,13 @@ def _map_barriers(rng: np.random.Generator, map_objects: MapObjects, ground: Gro
 
 def _boundaries(rng: np.random.Generator, edges: list[Edge], density: float, ground: Ground) -> list[MeshPart]:
     """Return hedges, rows of shrubs, fences and walls along the plots, around the corners of streets too."""
-    shapes, yields = _shrub_shapes(rng), yielding(ground.streets)
+    shapes, sight = _shrub_shapes(rng), yielding(ground.streets)
+    shapely.prepare(sight)
     parts: list[MeshPart] = []
     for piece, edge in _fronts(rng, edges, ground):
         kind = _drawn(rng, edge.density.boundary, density)
         if kind is not None:
-            low = bool(shapely.dwithin(yields, piece, _SIGHT_M))
-            parts += _boundary(rng, kind, piece, low, shapes, ground)
+            parts += _boundary(rng, kind, piece, sight, shapes, ground)
     return parts
 
 
@@ -184,6 +184,7 @@ def _kerbs(rng: np.random.Generator, edges: list[Edge], density: float, ground: 
     shapes = _shrub_shapes(rng)
     crossed = [shapely.LineString(lane.line) for lane in ground.streets.lanes if lane.kind == "crossing"]
     sight = shapely.union_all([yielding(ground.streets), *crossed])
+    shapely.prepare(sight)
     parts: list[MeshPart] = []
     for edge in edges:
         for piece in _plots(rng, edge.line):
@@ -191,8 +192,7 @@ def _kerbs(rng: np.random.Generator, edges: list[Edge], density: float, ground: 
             if kind is not None:
                 aside = edge.kerb_m + (-0.35 if kind == "railing" else 0.1)
                 kerb = shapely.LineString(offset(np.asarray(piece.coords), edge.side * aside))
-                low = bool(shapely.dwithin(sight, kerb, _SIGHT_M))
-                parts += _boundary(rng, kind, kerb, low, shapes, ground, at_kerb=True)
+                parts += _boundary(rng, kind, kerb, sight, shapes, ground, at_kerb=True)
     return parts
 
 
@@ -219,14 +219,15 @@ def _boundary(
     rng: np.random.Generator,
     kind: str,
     line: shapely.LineString,
-    low: bool,
+    sight: shapely.Geometry,
     shapes: list[MeshPart],
     ground: Ground,
     at_kerb: bool = False,
 ) -> list[MeshPart]:
-    """Return the boundary of one plot, a low one where drivers look across it."""
+    """Return the boundary of one plot, a low one near `sight`, where drivers look across it."""
     if kind != "noise" and not ground.is_fine(shapely.get_coordinates(line.centroid))[0]:
         return []
+    low = bool(shapely.dwithin(sight, line, _SIGHT_M))
     height = float(rng.uniform(*HEIGHT_M.get(kind, (1.6, 2.4))))
     if low and kind in ("noise", "boards"):
         return []

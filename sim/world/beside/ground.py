@@ -122,7 +122,8 @@ class Ground:
         road, footways, walk, houses = self._tiled
         free = line & self.frame
         for shape, more in ((road, 0.1 if at_kerb else 0.25), (footways if at_kerb else walk, 0.1), (houses, 0.15)):
-            for piece in shape.near(around):
+            tiles = shape.near(around)
+            for piece in tiles[shapely.dwithin(tiles, line, half_m + more)]:
                 free -= piece.buffer(half_m + more, quad_segs=2)
         if len(self.units):
             away = UNIT_CLEAR_M if tall else _UNIT_LOW_M
