@@ -12,6 +12,8 @@ from sim.radio import IDEAL
 
 COLUMNS = tuple(map(Column, ("episodes", "crashed", "at fault", "stuck", "lost", "failed", "score", "progress")))
 """Columns of `condition_cells`."""
+HARSH_MPS2 = 4.0
+"""Braking that is harsh, m/s2: nuPlan's bound of comfort is 4.05."""
 
 
 def groups(results: Sequence[EpisodeResult]) -> list[tuple[str, str, list[EpisodeResult]]]:
@@ -54,6 +56,14 @@ def score(found: Estimate) -> str:
     if found.value != found.value:
         return ""
     return f"{found.value:.2f}" + ("" if found.low != found.low else f" [{found.low:.2f}, {found.high:.2f}]")
+
+
+def number(found: Estimate, signed: bool = False) -> str:
+    """Return a mean with its interval; "" if it is unknown."""
+    if found.value != found.value:
+        return ""
+    text = f"{found.value:{'+' if signed else ''}.1f}"
+    return text + ("" if found.low != found.low else f" [{found.low:.1f}, {found.high:.1f}]")
 
 
 def percent(value: float) -> str:

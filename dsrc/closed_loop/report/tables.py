@@ -21,9 +21,18 @@ from dsrc.closed_loop.metrics.comparison import (
     metric,
     pairs,
 )
-from dsrc.closed_loop.metrics.statistics import PairedRates, paired_rates, rate
+from dsrc.closed_loop.metrics.statistics import PairedRates, mean, paired_rates, rate
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR
-from dsrc.closed_loop.report.cells import COLUMNS, condition, condition_cells, groups, percent, share
+from dsrc.closed_loop.report.cells import (
+    COLUMNS,
+    HARSH_MPS2,
+    condition,
+    condition_cells,
+    groups,
+    number,
+    percent,
+    share,
+)
 from dsrc.closed_loop.report.findings import NOTHING, Findings, counted_causes
 from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.types import Outcome
@@ -39,6 +48,7 @@ NAMES = {
     "scenarios": "By scenario, clean",
     "differences": "Paired crashes",
     "arrivals": "Paired arrivals",
+    "pace": "Time and braking at equal safety",
     "robustness": "Closed-loop corruption error",
     "reasons": "Causes of crashes",
     "causes": "What came late",
@@ -46,7 +56,7 @@ NAMES = {
     "controls": "Controls",
 }
 """Titles of the tables by name."""
-_OF_ONE_CHANNEL = ("crashed", "arrived", "scenarios", "arrivals", "robustness", "causes")
+_OF_ONE_CHANNEL = ("crashed", "arrived", "scenarios", "arrivals", "pace", "robustness", "causes")
 ALL_CORRUPTIONS = "all corruptions"
 """Title of the episodes under several corruptions together."""
 _WORST = 12
@@ -75,6 +85,7 @@ def tables(result: CampaignResult, more: Findings = NOTHING) -> dict[str, Table]
         _scenarios(of_first),
         _differences(result.plan, common),
         _arrivals(result.plan, of_first[0]),
+        _pace(result.plan, of_first[0]),
         _robustness(result.plan, of_first[0]),
         _reasons(result.results, more),
         _causes(of_first[0]),
@@ -266,6 +277,54 @@ def _arrivals(plan: Campaign, results: Sequence[EpisodeResult]) -> Table:
         f"only the first, and only the second, arrives. Bold: p < {_SMALL_P:g}. {_PAIRED}"
     )
     return _table("arrivals", ["", *titles], rows, text)
+
+
+def _pace(plan: Campaign, results: Sequence[EpisodeResult]) -> Table:
+    """Table of what a driver gains with other eyes where it is safe with all of them, clean episodes.
+
+    It is of plans whose perceptions have drivers of their own.
+    """
+    clean = [one for one in results if one.clean and any(spec.driver for spec in plan.perceptions)]
+    driver_of = {spec.name: spec.driver or plan.driver for spec in plan.perceptions}
+    rows = []
+    for driver in dict.fromkeys(driver_of.values()):
+        own = {
+            name: {(one.scenario, one.seed): one for one in clean if one.perception == name}
+            for name, its in driver_of.items()
+            if its == driver
+        }
+        own = {name: found for name, found in own.items() if found}
+        if len(own) < 2:
+            continue
+        safe = [
+            key for key in next(iter(own.values())) if all(key in one and arrived(one[key]) for one in own.values())
+        ]
+        first = next(iter(own))
+        for name, found in own.items():
+            here = [found[key] for key in safe]
+            seconds, brakes = ([metric(one, field) for one in here] for field in ("duration_s", "hardest_brake_mps2"))
+            later = [metric(found[key], "duration_s") - metric(own[first][key], "duration_s") for key in safe]
+            rows.append(
+                (
+                    name,
+                    driver,
+                    share(rate([collided(one) for one in counted(list(found.values()))])),
+                    str(len(safe)),
+                    number(mean(seconds)),
+                    "" if name == first else number(mean(later), signed=True),
+                    number(mean(brakes)),
+                    share(rate([brake > HARSH_MPS2 for brake in brakes])),
+                    number(mean([metric(one, "mean_speed_mps") for one in here])),
+                )
+            )
+    heads = ["perception", "driver", "crashed", "all arrive", "arrives, s", "less the first", "hardest braking, m/s²"]
+    text = (
+        "Crashed: of all clean episodes. All else is of those in which the driver arrives with each of its "
+        "perceptions, where eyes can give time and comfort alone. Less the first: seconds to arrive less those with "
+        f"the driver's first perception, in pairs. Harsh: share of episodes with braking above {HARSH_MPS2:g} m/s². In "
+        "brackets the interval of 95 %, Wilson's of shares, bootstrap (BCa) of means."
+    )
+    return _table("pace", [*heads, "harsh", "m/s"], rows, text, left=2)
 
 
 def _p_value(value: float) -> str:

@@ -1,16 +1,18 @@
 """Tables of a campaign: what they count, and what they leave out."""
 
 import pytest
+from msgspec.structs import replace
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
+from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.report.tables import ALL_CORRUPTIONS, tables
 from tests.dsrc.closed_loop.results import PLAN, RESULTS, one
 
 
-def tables_of(*results: EpisodeResult) -> dict[str, list[list[str]]]:
+def tables_of(*results: EpisodeResult, plan: Campaign = PLAN) -> dict[str, list[list[str]]]:
     """Cells of the tables by name, headings first."""
-    found = tables(CampaignResult(PLAN, results, (), (), 0, 0.0))
+    found = tables(CampaignResult(plan, results, (), (), 0, 0.0))
     return {
         name: [
             [cell.strip() for cell in line.strip("|").split("|")]
@@ -76,6 +78,36 @@ def test_a_crash_has_one_thing_that_came_late(seen_s: float | None, tracked_s: f
     times = {"duration_s": 5.0, "seen_s": seen_s, "tracked_s": tracked_s}
     heads, counts = tables_of(one("alone", 0, "crashed", **times))["causes"]
     assert [head for head, count in zip(heads[3:], counts[3:], strict=True) if count == "1"] == [column]
+
+
+def test_time_and_braking_are_compared_where_a_driver_arrives_with_all_of_its_eyes() -> None:
+    def driven(name: str, *seconds: float, brake: float = 3.0) -> list[EpisodeResult]:
+        more = {"mean_speed_mps": 10.0, "hardest_brake_mps2": brake}
+        ends = ["crashed" if one == 0.0 else "arrived" for one in seconds]
+        both = enumerate(zip(ends, seconds, strict=True))
+        return [one(name, seed, end, duration_s=value, **more) for seed, (end, value) in both]
+
+    results = [*driven("truth", 8.0, 9.0, 10.0), *driven("alone", 0.0, 12.0, 13.0, brake=5.0)]
+    results += driven("together", 8.0, 9.0, 14.0)
+    assert "pace" not in tables_of(*results), "plans of one driver have their other tables"
+    plan = replace(PLAN, perceptions=tuple(replace(one, driver="planning") for one in PLAN.perceptions))
+    found = tables_of(*results, plan=plan)["pace"]
+    rows = {row[0]: dict(zip(found[0], row, strict=True)) for row in found[1:]}
+    assert {row["all arrive"] for row in rows.values()} == {"2"} and {row["driver"] for row in rows.values()} == {
+        "planning"
+    }
+    assert rows["alone"]["crashed"].startswith("33 % [") and rows["truth"]["crashed"].startswith("0 % [")
+    assert rows["alone"]["less the first"] == "+3.0 [3.0, 3.0]" and rows["truth"]["less the first"] == ""
+    assert rows["together"]["less the first"].startswith("+2.0 [")
+    assert rows["alone"]["harsh"].startswith("100 %") and rows["together"]["harsh"].startswith("0 %")
+    assert rows["truth"]["m/s"] == "10.0 [10.0, 10.0]"
+
+
+def test_drivers_are_compared_with_themselves_alone() -> None:
+    own = PerceptionSpec(name="alone", uses="ego", driver="anticipating")
+    plan = replace(PLAN, perceptions=(PLAN.perceptions[0], own))
+    results = tuple(one(name, 0, "arrived", duration_s=9.0) for name in ("truth", "alone"))
+    assert "pace" not in tables(CampaignResult(plan, results, (), (), 0, 0.0))
 
 
 def test_without_an_encounter_there_is_nobody_to_see() -> None:
