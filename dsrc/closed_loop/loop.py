@@ -6,7 +6,6 @@ tracks. One seed gives one episode, bit for bit, in every process.
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,6 +17,7 @@ import numpy as np
 from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import choose_ego, ego_state, without_ego
+from dsrc.closed_loop.ego_faults import EgoFaults
 from dsrc.closed_loop.encounter import lost_encounter
 from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
 from dsrc.closed_loop.tracking.tracker import Tracker
@@ -79,21 +79,22 @@ class PerceptionClock:
     Args:
         settings: interval, latency and limit of time.
         step_s: traffic step, s.
+        own: faults of the ego's computing.
 
     Raises:
         SettingsError: the interval of detections is no multiple of the step.
     """
 
-    def __init__(self, perception: Perception, settings: LoopSettings, step_s: float) -> None:
-        self.failure = ""
+    def __init__(self, perception: Perception, settings: LoopSettings, step_s: float, own: EgoFaults) -> None:
+        self.failure, self._own = "", own
         self._perception, self._settings = perception, settings
         steps = settings.detect_every_s / step_s
         self._every = max(1, round(steps))
         if abs(steps - self._every) > 1e-6:
             expected = f"a multiple of the traffic's step of {step_s:g} s"
             raise SettingsError(complaint("drive", "detect_every_s", expected, f"{settings.detect_every_s:g}"))
-        self._steps = 0
-        self._waiting: deque[Percept] = deque()
+        self._steps, self._step_s = 0, step_s
+        self._waiting: list[tuple[float, Percept]] = []
 
     def begin(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Reset the perception for an episode.
@@ -122,7 +123,7 @@ class PerceptionClock:
         if self._steps % self._every == 0 and not self.failure:
             began = time.perf_counter()
             try:
-                self._waiting.append(checked_percept(self._perception.perceive(before, now, claims), now.time_s))
+                percept = checked_percept(self._perception.perceive(before, now, claims), now.time_s)
             except SettingsError:
                 raise
             except Exception as error:  # as in `begin`
@@ -131,10 +132,16 @@ class PerceptionClock:
             if (took_s := time.perf_counter() - began) > self._settings.perception_limit_s:
                 self.failure = f"took {took_s:.0f} s, limit {self._settings.perception_limit_s:g} s"
                 return None
+            time_s = self._steps * self._step_s
+            if not self._own.missed(time_s):
+                self._waiting.append((self._own.latency_s(time_s, self._settings.latency_s), percept))
         self._steps += 1
-        arrived = None
-        while self._waiting and now.time_s - self._waiting[0].time_s >= self._settings.latency_s - 1e-6:
-            arrived = self._waiting.popleft()
+        there = [now.time_s - percept.time_s >= latency_s - 1e-6 for latency_s, percept in self._waiting]
+        if not any(there):
+            return None
+        newest = max(number for number, arrived in enumerate(there) if arrived)
+        arrived = self._waiting[newest][1]
+        del self._waiting[: newest + 1]  # whoever comes later and is older is of no use
         return arrived
 
 
@@ -198,7 +205,8 @@ class ClosedLoop:
         self.ego_id = choose_ego(traffic, self.scenario)
         self.ticks, self.outcome, self.message, self.seconds = [], None, "", {}
         self._tracker, self._stood_s, self._moved = Tracker(), 0.0, False
-        self._clock = PerceptionClock(self.perception, self.settings, traffic.step_s)
+        self._own = EgoFaults(self._faults, seed, self.ego_id, traffic.step_s)
+        self._clock = PerceptionClock(self.perception, self.settings, traffic.step_s, self._own)
         self._world: SolidWorld | None = None
         self.driver.reset(lanes_of(self.scenario, seed))
         with self._timed("reset"):
@@ -231,7 +239,8 @@ class ClosedLoop:
         if not math.isfinite(last.decision.acceleration_mps2):
             raise ValueError(f"driver: expected a finite acceleration, found {last.decision.acceleration_mps2}")
         wanted = limits.bounded(last.decision.acceleration_mps2)
-        self.traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + wanted * self.traffic.step_s))
+        made = limits.bounded(self._own.acted(wanted, last.actors.time_s - self.start_s))
+        self.traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + made * self.traffic.step_s))
         return self._move()
 
     def advance_to(self, pose: tuple[float, float, float], speed_mps: float) -> Tick:

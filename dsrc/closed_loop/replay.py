@@ -10,6 +10,7 @@ import numpy as np
 from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import without_ego
+from dsrc.closed_loop.ego_faults import EgoFaults
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings, PerceptionClock, shown
 from dsrc.closed_loop.tracking.tracker import Tracker
@@ -27,7 +28,8 @@ def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | 
     loop = msgspec.convert(settings.loop, LoopSettings)
     driver, tracker = driver or PlanningDriver(), Tracker()
     driver.reset(lanes_of(settings.scenario, settings.seed))
-    clock = PerceptionClock(perception, loop, settings.scenario.step_s)
+    own = EgoFaults(getattr(perception, "faults", ()), settings.seed, settings.ego_id, settings.scenario.step_s)
+    clock = PerceptionClock(perception, loop, settings.scenario.step_s, own)
     clock.begin(settings.scenario, settings.ego_id, settings.seed)
     times = np.array([tick.ego.time_s for tick in log.ticks])
     before, ticks, outcome, message = log.actors[0], list[Tick](), log.outcome, log.message

@@ -112,6 +112,13 @@ class Misalignment(FaultSettings, frozen=True):
     up_cm: float = 0.0
 
 
+class Gain(FaultSettings, frozen=True):
+    """Factor."""
+
+    RANGES: ClassVar[Ranges] = {"factor": (0.0, 10.0)}
+    factor: float
+
+
 @dataclass(frozen=True, slots=True)
 class FaultKind:
     """One kind of fault.
@@ -142,6 +149,12 @@ KINDS: dict[str, FaultKind] = {
     "rate": FaultKind("radio", Rate, "helpers", ("message_hz",)),
     "range": FaultKind("radio", Reach, "helpers", ("range_m",)),
     "age": FaultKind("radio", Age, "helpers", ("longest_age_s",)),
+    "latency": FaultKind("computing", Seconds, "ego"),
+    "missed_cycles": FaultKind("computing", Share, "ego"),
+    "control_delay": FaultKind("actuation", Seconds, "ego"),
+    "control_lag": FaultKind("actuation", Seconds, "ego"),
+    "control_drop": FaultKind("actuation", Share, "ego"),
+    "brake_gain": FaultKind("actuation", Gain, "ego"),
 }
 """Kinds beside the corruptions, by name."""
 

@@ -97,17 +97,18 @@ def open_perception(
         given = {"corruption": corrupted, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
         given["fault"] = sensed
         _refuse(text, "a sensor", given)
-        return TruthPerception() if name == "truth" else SightPerception(cooperative=name == "team-sight")
+        truth = TruthPerception() if name == "truth" else SightPerception(cooperative=name == "team-sight")
+        return _with(truth, faults)
     if name == MODELLED:
         _refuse(text, "a sensor", {"fault": sensed})
-        return _modelled(text, Path(file) if file else checkpoint, condition, channel)
+        return _with(_modelled(text, Path(file) if file else checkpoint, condition, channel), faults)
     detector: Any
     if ":" in name:
         _refuse(text, "a checkpoint", {"checkpoint": checkpoint is not None})
         detector, engine = _own(name), "fused"
         if hasattr(detector, "perceive"):
             _refuse(text, "a detector", {"corruption": corrupted, "channel": radio != _IDEAL, "fault": sensed})
-            return cast(Perception, detector)
+            return _with(cast(Perception, detector), faults)
     else:
         if file and checkpoint is not None:
             raise SettingsError(f"perception: '{text}' names a detector file already; leave out --checkpoint")
@@ -165,6 +166,14 @@ def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
     for field, is_given in given.items():
         if is_given:
             raise SettingsError(f"perception: '{text}' is without {what}; leave out --{field}")
+
+
+def _with(perception: Perception, faults: Faults) -> Perception:
+    """Return a perception that knows the faults of the episode, for the loop."""
+    made: Any = perception
+    if faults:
+        made.faults = faults
+    return perception
 
 
 def _modelled(text: str, file: Path | None, condition: Condition, channel: str | ChannelSpec) -> Perception:
