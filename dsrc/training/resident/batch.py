@@ -21,7 +21,7 @@ from dsrc.training.recipes import Recipe
 from dsrc.training.resident.plan import PartPlan, Plan
 from dsrc.training.resident.store import FramePoints, ResidentPoints
 from dsrc.training.resident.targets import Anchors
-from dsrc.training.resident.voxels import Cells, Clouds
+from dsrc.training.resident.voxels import Cells, Clouds, rows_of
 
 
 def reason_for_host(recipe: Recipe, settings: ModelSettings) -> str | None:
@@ -167,7 +167,7 @@ class ResidentBatches:
                 rows += [place[shown], own_rows]
                 meant += [chosen[agent, shown], own_others]
                 objects += [len(rows[-2]), len(own_rows)]
-        whole, inside_whole = points[torch.cat(rows)], torch.cat(meant)
+        whole, inside_whole = rows_of(points, torch.cat(rows)), torch.cat(meant)
         is_object = _repeated(torch.arange(len(objects), device=points.device), objects) % 2 == 0
         if settings.pcp:
             whole = torch.cat([whole, is_object[:, None].to(whole.dtype)], dim=1)
@@ -194,7 +194,9 @@ def _in_range(xyz: Tensor, corners: tuple[Tensor, Tensor]) -> Tensor:
 
 def _repeated(rows: Tensor, sizes: Sequence[int]) -> Tensor:
     """Return each row as often as its size says, which the host knows."""
-    return rows.repeat_interleave(on_device(torch.tensor(sizes), rows.device), dim=0, output_size=sum(sizes))
+    ends = on_device(torch.tensor(sizes).cumsum(0), rows.device)
+    row = torch.searchsorted(ends, torch.arange(sum(sizes), device=rows.device), right=True)
+    return rows[row] if rows.ndim == 1 else rows_of(rows.flatten(1), row).view(-1, *rows.shape[1:])
 
 
 def _clouds(points: Tensor, inside: Tensor, sizes: Sequence[int]) -> Clouds:

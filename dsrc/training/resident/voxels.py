@@ -36,6 +36,11 @@ class Clouds:
     sizes: tuple[int, ...]
 
 
+def rows_of(table: Tensor, row: Tensor) -> Tensor:
+    """Return the (K, D) rows of a table of few columns, element by element: by rows, a GPU starts a block for each."""
+    return table[row[:, None], torch.arange(table.shape[1], device=row.device)]
+
+
 class Cells:
     """Cells of a grid of pillars on a device."""
 
@@ -65,7 +70,8 @@ class Cells:
         number = torch.arange(len(key), device=key.device)
         first = torch.ones_like(key, dtype=torch.bool)
         first[1:] = key[1:] != key[:-1]
-        start = torch.where(first, number, 0).cummax(0).values
+        # Searches of what is sorted: a running maximum, or a sum by index, takes milliseconds on a GPU.
+        start, end = torch.searchsorted(key, key), torch.searchsorted(key, key, right=True)
         opens = (first & (key < nowhere)).long()
         opened = torch.zeros_like(opens).index_copy_(0, order, opens)  # in order of arrival again
         capacity = [min(size, cells, most) for size in clouds.sizes]
@@ -77,13 +83,16 @@ class Cells:
         kept = (key < nowhere) & (number - start < self.settings.max_points) & (opened[of_start] > 0)
         spare = sum(capacity) + number % _SPARE  # pillars of no cloud
         pillar = torch.where(kept, opened.cumsum(0)[of_start] - 1, spare)
-        count = key.new_zeros(sum(capacity) + _SPARE).index_add_(0, pillar, kept.long())
+        opener = kept & first
+        count = key.new_zeros(sum(capacity) + _SPARE)
+        opened_at = torch.where(opener, pillar, spare)
+        count.index_copy_(0, opened_at, torch.where(opener, (end - start).clamp(max=self.settings.max_points), 0))
         # Points go to the places that they have on the host: pillar by pillar, then those that are none.
         none = (~kept).long()
         target = torch.where(kept, (count.cumsum(0) - count)[pillar] + number - start, kept.sum() + none.cumsum(0) - 1)
-        points = clouds.points[order] * kept[:, None]
+        points = rows_of(clouds.points, order) * kept[:, None]
         cell = torch.full_like(count, nowhere)
-        cell.index_copy_(0, torch.where(kept & first, pillar, spare), torch.where(kept & first, key, nowhere))
+        cell.index_copy_(0, opened_at, torch.where(opener, key, nowhere))
         coords = torch.stack([cell // cells, cell // self.width % self.height, cell % self.width], dim=1)
         return Pillars(
             points=torch.empty_like(points).index_copy_(0, target, points),
