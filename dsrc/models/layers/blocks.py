@@ -39,8 +39,9 @@ class Decoder(nn.ModuleList):
 
     def forward(self, stages: Sequence[Tensor]) -> Tensor:
         """Concatenate the stages at one resolution, (N, sum of channels, h, w)."""
-        # Measured on CPUs: in channels-last order these layers are 40 % slower.
-        return torch.cat([up(stage.contiguous()) for up, stage in zip(self, stages, strict=True)], dim=1)
+        # Measured on CPUs: in channels-last order these layers are 40 % slower. On a GPU it is the faster one.
+        ordered = (stage if stage.is_cuda else stage.contiguous() for stage in stages)
+        return torch.cat([up(stage) for up, stage in zip(self, ordered, strict=True)], dim=1)
 
 
 class Compressor(nn.Module):

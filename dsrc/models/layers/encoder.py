@@ -17,6 +17,9 @@ from dsrc.ops.grid import GridSpec
 
 # Legend: P points, V pillars, N clouds, D point features, C channels, H W grid.
 
+SPARE_ROWS = 1024
+"""Rows for what is nowhere; in a single one, thousands of threads would wait for each other."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pillars(Movable):
@@ -70,9 +73,11 @@ class PillarMap:
         cell = (cloud * self.height + row) * self.width + column
         shape = self.clouds * self.height * self.width, self.features.shape[1]
         if self.padded:
-            # The last row takes what is no part of the map.
-            cells = self.features.new_zeros((shape[0] + 1, shape[1])).index_copy_(0, cell, self.features)[:-1]
-            return cells.view(self.clouds, self.height, self.width, -1).permute(0, 3, 1, 2)
+            # The last rows take what is no part of the map.
+            spare = shape[0] + torch.arange(len(cell), device=cell.device) % SPARE_ROWS
+            cell = torch.where(cloud < self.clouds, cell, spare)
+            cells = self.features.new_zeros((shape[0] + SPARE_ROWS, shape[1])).index_copy_(0, cell, self.features)
+            return cells[: shape[0]].view(self.clouds, self.height, self.width, -1).permute(0, 3, 1, 2)
         if empty is None:
             cells = self.features.new_zeros(shape)
         else:

@@ -66,10 +66,27 @@ class Reconstruction(nn.Module):
         count_batch(self)
         batch, _, height, width = fused.shape
         column = self.expand(fused).reshape(batch, -1, self.bins // 2, height, width)
-        volume = self.generate(column)
+        if column.is_cuda:
+            # In the other order, each channel's batch norm has one block of threads alone.
+            column = column.contiguous(memory_format=torch.channels_last_3d)
+        return self.heads(self.generate(column), voxel)
+
+    def heads(self, volume: Tensor, voxel: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Return what `forward` does, for (B, C, D, H, W) features."""
         b, z, y, x = voxel
+        if volume.is_contiguous(memory_format=torch.channels_last_3d):
+            # Both at all voxels, in one matrix product: numbers are gathered there, not features.
+            weight = torch.cat([self.occupancy.weight, self.offset.weight]).flatten(1)
+            bias = torch.cat([_bias(self.occupancy), _bias(self.offset)])
+            both = functional.linear(volume.movedim(1, -1), weight, bias)
+            return both[..., :1].movedim(-1, 1), both[..., 1:][b, z, y, x]
         weight = self.offset.weight.flatten(1)
         return self.occupancy(volume), functional.linear(volume[b, :, z, y, x], weight, self.offset.bias)
+
+
+def _bias(layer: nn.Conv3d) -> Tensor:
+    assert layer.bias is not None
+    return layer.bias
 
 
 def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, tuple[Tensor, ...], Tensor | None]:

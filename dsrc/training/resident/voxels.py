@@ -9,14 +9,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dsrc.models.layers.encoder import Pillars
+from dsrc.models.layers.encoder import SPARE_ROWS, Pillars
 from dsrc.models.layers.reconstruction import SceneVoxels
 from dsrc.models.settings import ModelSettings
 
 # Legend: P points, N clouds, H W grid, D point features.
-
-_SPARE = 1024
-"""Rows for what is nowhere; in a single one, thousands of threads would wait for each other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,10 +78,10 @@ class Cells:
             opened = opened * (rank - (each.cumsum(0) - each)[clouds.cloud] <= most)
         of_start = order[start]
         kept = (key < nowhere) & (number - start < self.settings.max_points) & (opened[of_start] > 0)
-        spare = sum(capacity) + number % _SPARE  # pillars of no cloud
+        spare = sum(capacity) + number % SPARE_ROWS  # pillars of no cloud
         pillar = torch.where(kept, opened.cumsum(0)[of_start] - 1, spare)
         opener = kept & first
-        count = key.new_zeros(sum(capacity) + _SPARE)
+        count = key.new_zeros(sum(capacity) + SPARE_ROWS)
         opened_at = torch.where(opener, pillar, spare)
         count.index_copy_(0, opened_at, torch.where(opener, (end - start).clamp(max=self.settings.max_points), 0))
         # Points go to the places that they have on the host: pillar by pillar, then those that are none.
@@ -122,10 +119,10 @@ class Cells:
         nowhere = len(merged.sizes) * bins * self.height * self.width
         flat = ((merged.cloud * bins + z) * self.height + y) * self.width + x
         number = torch.arange(len(flat), device=flat.device)
-        cell = torch.where(merged.inside, flat, nowhere + number % _SPARE)
-        sums = xyz.new_zeros((nowhere + _SPARE, 4))
+        cell = torch.where(merged.inside, flat, nowhere + number % SPARE_ROWS)
+        sums = xyz.new_zeros((nowhere + SPARE_ROWS, 4))
         sums.index_add_(0, cell, torch.cat([xyz, torch.ones_like(xyz[:, :1])], dim=1))
-        first = cell.new_full((nowhere + _SPARE,), len(cell)).scatter_reduce_(0, cell, number, "amin")
+        first = cell.new_full((nowhere + SPARE_ROWS,), len(cell)).scatter_reduce_(0, cell, number, "amin")
         mean = sums[cell, :3] / sums[cell, 3:]
         centre = (at + 0.5) * self.size_fine + self.low_fine
         return SceneVoxels(

@@ -137,6 +137,23 @@ def test_windows_cost_what_the_whole_scene_costs_on_average(sample: Sample) -> N
         np.testing.assert_allclose(np.mean([part[number] for part in parts]), whole[number], rtol=0.1)
 
 
+def test_reconstruction_heads_say_the_same_in_both_memory_orders() -> None:
+    settings = of_method(tiny(), "dsrc").settings("student")
+    torch.manual_seed(0)
+    head = Reconstruction(settings)
+    voxel = [torch.randint(size, (50,)) for size in (2, 4, 10, 12)]
+    found = []
+    for order in (torch.contiguous_format, torch.channels_last_3d):
+        head.zero_grad()
+        volume = torch.randn(2, head.offset.in_channels, 4, 10, 12, generator=torch.Generator().manual_seed(1))
+        volume = volume.contiguous(memory_format=order).requires_grad_()
+        occupancy, offset = head.heads(volume, voxel)
+        (occupancy.square().sum() + offset.pow(3).sum()).backward()
+        weights = [weight.grad for layer in (head.occupancy, head.offset) for weight in layer.parameters()]
+        found.append([occupancy, offset, volume.grad, *weights])
+    torch.testing.assert_close(found[1], found[0])
+
+
 @pytest.mark.parametrize(("step", "share"), [(0, 1.0), (69, 1.0), (85, 0.5), (100, 0.0)])
 def test_the_distillation_fades_in_the_last_steps(step: int, share: float) -> None:
     class Trainer:
