@@ -72,6 +72,7 @@ class Driver(IDMVehicle):
         self.off_lanes = False
         self.path_ahead: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._slip = 0.0
+        self._moving = False
         super().__init__(
             road,
             lane.lane.position(along, 0.0),
@@ -106,7 +107,7 @@ class Driver(IDMVehicle):
     def lateral_offset(self) -> float:
         """Lateral distance from the centre of the target lane, m."""
         lane = self.roads.lanes[self.lane_number]
-        return float(np.sqrt(((lane.line - to_world(self.position)) ** 2).sum(axis=1).min()))
+        return float(np.sqrt(lane.squares(to_world(self.position)).min()))
 
     @property
     def merge_room_m(self) -> float:
@@ -152,7 +153,7 @@ class Driver(IDMVehicle):
         if self.path_ahead is None:
             return 0.0
         points, along = self.path_ahead
-        ahead = np.clip(_AHEAD_S * self.speed, 4.0, 25.0)
+        ahead = min(max(_AHEAD_S * self.speed, 4.0), 25.0)
         if self.enable_lane_change and self.lateral_offset > _BETWEEN_M:
             # A longer look-ahead during lane changes avoids overshoot.
             ahead = max(ahead, _CHANGE_M)
@@ -160,16 +161,29 @@ class Driver(IDMVehicle):
         # To the left of the heading in our world is to the right in highway-env's.
         aside = away @ [np.sin(self.heading), np.cos(self.heading)]
         most = min(_SIDE_MPS2 / max(self.speed, 0.5) ** 2, _TIGHTEST)
-        bend = np.clip(2.0 * aside / max(float(away @ away), 1.0), -most, most)
-        slip = -float(np.arcsin(np.clip(bend * 0.5 * self.LENGTH, -0.9, 0.9)))
+        bend = min(max(2.0 * aside / max(float(away @ away), 1.0), -most), most)
+        slip = -float(np.arcsin(min(max(bend * 0.5 * self.LENGTH, -0.9), 0.9)))
         change = _SIDE_MPS2 * step_s / max(self.speed, 1.0)
-        self._slip = float(np.clip(slip, self._slip - change, self._slip + change))
+        self._slip = float(min(max(slip, self._slip - change), self._slip + change))
         return self._slip
 
     def step(self, dt: float) -> None:
         """Move by one time step, never backwards."""
         self.action["acceleration"] = max(self.action["acceleration"], -self.speed / dt)
         super().step(dt)
+
+    def move(self, step_s: float, parts: int) -> None:
+        """Move by `step_s` in equal parts, and look only then for the lane: all lanes are measured for it."""
+        self._moving = True
+        for _ in range(parts):
+            self.step(step_s / parts)
+        self._moving = False
+        self.on_state_update()
+
+    def on_state_update(self) -> None:
+        """Find the lane here, unless on the way."""
+        if not self._moving:
+            super().on_state_update()
 
     def follow_road(self) -> None:
         """Switch to the next lane of the route at the end of this one."""

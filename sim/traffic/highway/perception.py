@@ -6,6 +6,8 @@ route.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +36,7 @@ _FAR_S = 4.0
 _MERGING_S = 2.0
 _SHARP_RAD = np.radians(50.0)
 _LOOK_M = 50.0
+_ROUNDING_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +72,8 @@ def path_ahead(driver: Driver, numbers: Sequence[int], start_m: float) -> PathAh
     )
     priority = np.concatenate([np.full(len(lane.line[part]), lane.priority) for lane, part in cut])
     step = np.hypot(*np.diff(line, axis=0).T)
-    bend = np.abs(np.diff(np.unwrap(heading)))
+    heading = np.unwrap(heading)
+    bend = np.abs(np.diff(heading))
     # Where two lanes meet at an angle the path bends within their gap; the first steps may be a lane change.
     sharp = np.flatnonzero((bend > 0.2) & (np.arange(len(step)) > 3))
     speed[sharp + 1] = np.minimum(speed[sharp + 1], np.sqrt(2.5 * np.maximum(step[sharp], 4.0) / bend[sharp]))
@@ -80,7 +84,7 @@ def path_ahead(driver: Driver, numbers: Sequence[int], start_m: float) -> PathAh
     return PathAhead(
         points=np.column_stack([np.interp(along, known, line[:, axis]) for axis in (0, 1)]),
         along=along,
-        heading=np.interp(along, known, np.unwrap(heading)),
+        heading=np.interp(along, known, heading),
         limit=np.interp(along, known, speed),
         priority=np.concatenate([[lanes[0].priority], priority])[owner],
     )
@@ -170,7 +174,7 @@ def decide(drivers: Sequence[Driver], step_s: float, junction: Junction) -> None
         if driver.commanded is not None:
             wish = (driver.commanded - driver.speed) / step_s
             strongest, _, emergency = driver.kind.accel_mps2
-            driver.planned_mps2 = float(np.clip(wish, -emergency, strongest))
+            driver.planned_mps2 = min(max(wish, -emergency), strongest)
             continue
         planned_mps2 = min(_free(driver, path, stops[row]), _follow(row, driver, path, outlines, owner, velocity))
         current = driver.roads.number(driver.lane_index)
@@ -180,20 +184,25 @@ def decide(drivers: Sequence[Driver], step_s: float, junction: Junction) -> None
             planned_mps2 = min(planned_mps2, _follow(row, driver, own, outlines, owner, velocity))
         if _has_neighbour(driver, drivers):
             planned_mps2 = min(planned_mps2, -_YIELD_MPS2)
-        driver.planned_mps2 = float(np.clip(planned_mps2, -_HARD_MPS2, _SPEED_UP_MPS2))
+        driver.planned_mps2 = min(max(float(planned_mps2), -_HARD_MPS2), _SPEED_UP_MPS2)
 
 
 def _outlines(drivers: Sequence[Driver]) -> tuple[Array, NDArray[np.int64]]:
     """Return (M, 2) points around the bodies and the (M,) rows of their drivers."""
     points, owner = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
     for row, driver in enumerate(drivers):
-        along = np.linspace(-0.5, 0.5, max(3, int(np.ceil(driver.LENGTH / 1.5)) + 1)) * driver.LENGTH
-        local = np.concatenate([np.column_stack([along, np.full(len(along), y)]) for y in (-0.5, 0.0, 0.5)])
-        local[:, 1] *= driver.WIDTH
+        local = _outline(driver.LENGTH, driver.WIDTH)
         c, s = np.cos(-driver.heading), np.sin(-driver.heading)
         points.append(local @ np.array([[c, s], [-s, c]]) + to_world(driver.position))
         owner.append(np.full(len(local), row))
     return np.concatenate(points), np.concatenate(owner)
+
+
+@lru_cache(maxsize=256)
+def _outline(length_m: float, width_m: float) -> Array:
+    """Return (K, 2) points around a body and along its middle, m."""
+    along = np.linspace(-0.5, 0.5, max(3, int(np.ceil(length_m / 1.5)) + 1)) * length_m
+    return np.concatenate([np.column_stack([along, np.full(len(along), y * width_m)]) for y in (-0.5, 0.0, 0.5)])
 
 
 def free_speed(path: PathAhead) -> float:
@@ -217,13 +226,18 @@ def _follow(
     row: int, driver: Driver, path: PathAhead, outlines: Array, owner: NDArray[np.int64], velocity: Array
 ) -> float:
     """Return the acceleration of the Intelligent Driver Model behind the first body on the path."""
-    near = (owner != row) & (np.abs(outlines - path.points[0]).max(axis=1) < AHEAD_M)
+    reach = 0.5 * driver.WIDTH + _BESIDE_M
+    near = owner != row
+    for axis in (0, 1):
+        line, at = path.points[:, axis], outlines[:, axis]
+        near &= (at > line.min() - reach - _ROUNDING_M) & (at < line.max() + reach + _ROUNDING_M)
+        near &= np.abs(at - line[0]) < AHEAD_M
     points, whose = outlines[near], owner[near]
     if len(points) == 0:
         return np.inf
     away = np.hypot(path.points[:, None, 0] - points[None, :, 0], path.points[:, None, 1] - points[None, :, 1])
     place = away.argmin(axis=0)
-    on_path = away[place, np.arange(len(points))] < 0.5 * driver.WIDTH + _BESIDE_M
+    on_path = away[place, np.arange(len(points))] < reach
     on_path &= path.along[place] > 0.5 * driver.LENGTH - 0.5  # not beside it
     if not on_path.any():
         return np.inf
@@ -243,8 +257,9 @@ def _stops(drivers: Sequence[Driver], paths: Sequence[PathAhead]) -> Array:
     stops = np.full(len(drivers), np.inf)
     if any(lane.through_junction for driver in drivers[:1] for lane in driver.roads.lanes):
         return stops  # see `Junction`
+    near = _may_meet(drivers, paths)
     for i in range(len(drivers)):
-        for j in range(i + 1, len(drivers)):
+        for j in np.flatnonzero(near[i, i + 1 :]) + i + 1:
             far = np.abs(paths[i].points[0] - paths[j].points[0]).max() > 2.0 * _LOOK_M
             if far or drivers[i].off_lanes or drivers[j].off_lanes:
                 continue
@@ -262,6 +277,21 @@ def _stops(drivers: Sequence[Driver], paths: Sequence[PathAhead]) -> Array:
     return stops
 
 
+def _may_meet(drivers: Sequence[Driver], paths: Sequence[PathAhead]) -> NDArray[np.bool_]:
+    """Return (N, N) whether the boxes around two paths are as near as their vehicles are wide: most are not."""
+    looked = [path.points[path.along < _LOOK_M] for path in paths]
+    low = np.array([points.min(axis=0) for points in looked]).reshape(-1, 2)
+    high = np.array([points.max(axis=0) for points in looked]).reshape(-1, 2)
+    width = np.array([driver.WIDTH for driver in drivers])
+    apart = (low[:, None] - high[None]).max(axis=2)
+    return np.maximum(apart, apart.T) < _clearance(width[:, None], width[None]) + _ROUNDING_M
+
+
+def _clearance(a: Any, b: Any) -> Any:
+    """Return the distance of two paths below which vehicles of two widths meet, m."""
+    return 0.5 * (a + b) + 0.3
+
+
 def _gives_way(a: Driver, path_a: PathAhead, b: Driver, path_b: PathAhead) -> tuple[int, float]:
     """Return which of two drivers gives way (-1 first, 1 second, 0 neither) and the distance to the stop, m."""
     ka, kb = int(np.searchsorted(path_a.along, _LOOK_M)), int(np.searchsorted(path_b.along, _LOOK_M))
@@ -269,7 +299,7 @@ def _gives_way(a: Driver, path_a: PathAhead, b: Driver, path_b: PathAhead) -> tu
         path_a.points[:ka, None, 0] - path_b.points[None, :kb, 0],
         path_a.points[:ka, None, 1] - path_b.points[None, :kb, 1],
     )
-    close = away < 0.5 * (a.WIDTH + b.WIDTH) + 0.3
+    close = away < _clearance(a.WIDTH, b.WIDTH)
     if not close.any():
         return 0, np.inf
     rows, columns = np.flatnonzero(close.any(axis=1)), np.flatnonzero(close.any(axis=0))

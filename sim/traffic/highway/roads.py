@@ -110,9 +110,14 @@ class RoadLane:
 
     def along_at(self, xy: NDArray[np.float64]) -> float:
         """Return the distance along the lane of a (2,) world position, m; highway-env's own wraps in long arcs."""
-        row = int(((self.line - xy) ** 2).sum(axis=1).argmin())
+        row = int(self.squares(xy).argmin())
         forward = np.array([np.cos(self.heading[row]), np.sin(self.heading[row])])
         return float(self.along[row] + (xy - self.line[row]) @ forward)
+
+    def squares(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (K,) squares of the distances of a (2,) world position from the points of the centre line, m2."""
+        x, y = (self.line - xy).T
+        return x * x + y * y
 
     def away_from(self, xy: NDArray[np.float64]) -> float:
         """Return the distance of a (2,) world position from the centre line, m."""
@@ -120,7 +125,7 @@ class RoadLane:
 
     def turn_from(self, xy: NDArray[np.float64], yaw: float) -> float:
         """Return the angle between the lane at a (2,) world position and a heading in the world, rad, in [0, pi]."""
-        row = int(((self.line - xy) ** 2).sum(axis=1).argmin())
+        row = int(self.squares(xy).argmin())
         return abs(float(wrap_angle(self.heading[row] - yaw)))
 
     @property

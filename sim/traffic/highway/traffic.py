@@ -140,8 +140,7 @@ class HighwayTraffic(DrivableTraffic):
             driver.drive(self.step_s)
         parts = max(1, round(self.step_s / _KINEMATICS_S))
         for driver in free:
-            for _ in range(parts):
-                driver.step(self.step_s / parts)
+            driver.move(self.step_s, parts)
         for driver in drivers:
             if driver.number in self._placed:
                 pose = self._placed[driver.number]
