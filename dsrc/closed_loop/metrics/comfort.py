@@ -11,7 +11,6 @@ import math
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from dsrc.closed_loop.metrics.driven import Motion
 
@@ -59,6 +58,8 @@ def comfort(motion: Motion, step_s: float) -> Comfort:
 
 def signals(motion: Motion, step_s: float) -> dict[str, NDArray[np.float64]]:
     """Return the (T,) smoothed signals by the names of `BOUNDS`; none for fewer than four steps."""
+    from scipy.signal import savgol_filter  # two seconds: a worker that only drives does not need it
+
     n = len(motion)
     if n < 4:
         return {}

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 LEVEL = 0.95
 RESAMPLES = 2000
@@ -54,6 +53,8 @@ def rate(events: Sequence[float], level: float = LEVEL) -> Estimate:
         events: 1 or 0 for each episode.
         level: share of samples whose interval holds the true value.
     """
+    from scipy import stats  # two seconds, and most processes need no interval
+
     n = len(events)
     if not n:
         return UNKNOWN
@@ -71,6 +72,8 @@ def mean(values: Sequence[float], level: float = LEVEL, seed: int = 0) -> Estima
     Args:
         level: share of samples whose interval holds the true value.
     """
+    from scipy import stats
+
     known = np.array(values, np.float64)
     known = known[np.isfinite(known)]
     if not len(known):
@@ -114,6 +117,8 @@ def paired_rates(
     Raises:
         ValueError: the lengths differ.
     """
+    from scipy import stats
+
     differences = [round(a - b) for a, b in zip(first, second, strict=True)]
     n = len(differences)
     if not n:

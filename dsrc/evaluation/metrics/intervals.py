@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from dsrc.evaluation.metrics.ap import Matches
 from dsrc.tables.table import Stat
@@ -146,6 +145,8 @@ def percentile_interval(values: NDArray[np.float64], units: int, level: float = 
         units: number of frames or drives drawn from; fewer than two have no interval.
         level: share of samples whose interval holds the true value.
     """
+    from scipy import stats  # two seconds: a worker that only detects does not need it
+
     known = values[np.isfinite(values)]
     if not known.size or units < 2:
         return Interval(math.nan, math.nan)
