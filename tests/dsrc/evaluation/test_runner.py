@@ -62,6 +62,19 @@ def files(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in names}
 
 
+def unswept(
+    done: tuple[Path, BenchmarkResult], plan: Benchmark, folder: Path
+) -> tuple[Benchmark, BenchmarkResult, dict[str, bytes]]:
+    """Return the plan without its sweeps, and a run of it with its files: its cells are those of the whole plan."""
+    part = replace(plan, sweeps=ParameterSweeps())
+    shutil.copytree(done[0] / "cells", folder / "cells")
+    result = run_plan(part, folder)
+    assert result.made == 0
+    write_report(result, folder)
+    used = {f"cells/{key}.npz" for entry in result.entries for key in entry.cells}
+    return part, result, {name: data for name, data in files(folder).items() if name in used or "/" not in name}
+
+
 def test_a_row_of_a_benchmark_says_what_an_evaluation_says(
     done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path
 ) -> None:
@@ -82,7 +95,8 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, written = root / "killed", []
-    whole, write = files(done[0]), cells.write_cell
+    part, _, whole = unswept(done, plan, root / "whole")
+    write = cells.write_cell
 
     def dies(folder: Path, settings: Any, result: Any) -> None:
         if len(written) % 5 == 4:
@@ -95,7 +109,7 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     deaths = 0
     while True:
         try:
-            result = run_plan(plan, out)
+            result = run_plan(part, out)
         except KeyboardInterrupt:
             deaths += 1
             continue
@@ -146,18 +160,18 @@ def test_cells_of_earlier_code_are_taken_when_asked_for(
 
 
 def test_two_processes_find_what_one_does(done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path) -> None:
-    result = run_plan(plan, root / "two", Pool(workers=2))
-    write_report(result, root / "two")
-    assert files(root / "two") == files(done[0])
+    part, _, whole = unswept(done, plan, root / "one")
+    write_report(run_plan(part, root / "two", Pool(workers=2)), root / "two")
+    assert files(root / "two") == whole
 
 
 def test_units_of_few_frames_give_the_same_rows(
     done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    part, whole, _ = unswept(done, plan, root / "unchunked")
     monkeypatch.setattr(runner, "CHUNK", 1)
-    result = run_plan(plan, root / "chunks")
-    rows = [entry.row for entry in result.entries]
-    assert rows == [entry.row for entry in done[1].entries]
+    result = run_plan(part, root / "chunks")
+    assert [entry.row for entry in result.entries] == [entry.row for entry in whole.entries]
     assert len(result.entries[0].cells) == 4
 
 

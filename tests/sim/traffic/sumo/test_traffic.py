@@ -1,5 +1,6 @@
 """SUMO traffic: reproducible, smooth, one at a time, and where the boxes say it is."""
 
+import inspect
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,22 +20,29 @@ from sim.geometry import wrap_angle
 from sim.roads.networks import read_network, resolve_network
 from sim.scenario import Scenario, SignalProgram
 from sim.traffic.base import Actors, lit
+from sim.traffic.log import TrafficLog
 from sim.traffic.replay import ReplayTraffic
 from sim.traffic.sumo.lane_path import LanePaths
 from sim.traffic.sumo.traffic import SumoTraffic
 
-RECORD = """
+
+def record(seed: int, path: Path) -> None:
+    with SumoTraffic(msgspec.structs.replace(load_scenario("four_way"), warmup_s=25.0), seed) as traffic:
+        log = TrafficLog(traffic.step_s)
+        log.append(traffic.actors)
+        for _ in range(100):
+            log.append(traffic.step())
+    log.save(path)
+
+
+RECORD = f"""
 import sys, msgspec
+from pathlib import Path
 from sim.catalog.load import load_scenario
 from sim.traffic.log import TrafficLog
 from sim.traffic.sumo.traffic import SumoTraffic
-scenario = msgspec.structs.replace(load_scenario("four_way"), warmup_s=25.0)
-with SumoTraffic(scenario, int(sys.argv[1])) as traffic:
-    log = TrafficLog(traffic.step_s)
-    log.append(traffic.actors)
-    for _ in range(100):
-        log.append(traffic.step())
-log.save(sys.argv[2])
+{inspect.getsource(record)}
+record(1, Path(sys.argv[1]))
 """
 
 
@@ -57,8 +65,9 @@ def traffic() -> Iterator[SumoTraffic]:
 
 def test_one_seed_gives_the_same_log_in_two_processes_and_another_gives_another(tmp_path: Path) -> None:
     files = [tmp_path / f"{k}.npz" for k in range(3)]
-    for path, seed in zip(files, ("1", "1", "2"), strict=True):
-        subprocess.run([sys.executable, "-c", RECORD, seed, str(path)], check=True, timeout=100)
+    subprocess.run([sys.executable, "-c", RECORD, str(files[0])], check=True, timeout=100)
+    for path, seed in zip(files[1:], (1, 2), strict=True):
+        record(seed, path)
     assert files[0].read_bytes() == files[1].read_bytes()
     replays = [ReplayTraffic(path) for path in (files[0], files[2])]
     assert len(replays[0]) == 101

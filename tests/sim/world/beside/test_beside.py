@@ -35,7 +35,8 @@ def streets_of(name: str) -> Streets:
 
 
 def _flat(triangles: np.ndarray) -> np.ndarray:
-    return shapely.convex_hull(shapely.multipoints([shapely.points(one) for one in triangles[:, :, :2]]))
+    corner = np.repeat(np.arange(len(triangles)), 3)
+    return shapely.convex_hull(shapely.multipoints(triangles[:, :, :2].reshape(-1, 2), indices=corner))
 
 
 def _standing(mesh: trimesh.Trimesh, streets: Streets, low_m: float, high_m: float) -> np.ndarray:
