@@ -148,18 +148,21 @@ def test_a_closed_standard_error_is_no_stack_trace() -> None:
         ("dataset", "card", "{data}", "--out", "{out}"),
     ],
 )
-def test_a_full_disk_is_one_line_with_the_name_of_a_file(words: tuple[str, ...], place: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_one_line_with_the_name_of_a_file(
+    words: tuple[str, ...], place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # A limit on the size of files stands for a disk that is full: writing fails after some bytes.
     out = tmp_path / "out"
     values = {"data": place / "data", "detector": place / "detector.pt", "out": out}
     arguments = [word.format(**values) for word in words]
-    if words[1] == "train":  # its log has threads of its own, which end with the process
+    if words[1] in ("train", "convert"):  # their packages' writers end with the process
         code = (
-            "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500));"
+            "import resource, sys; sys.dont_write_bytecode = True; resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500));"
             "from dsrc.__main__ import main; main(sys.argv[1:])"
         )
         result = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
     else:
+        monkeypatch.setattr(sys, "dont_write_bytecode", True)  # a module cut short would be imported ever after
         before = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1500, before[1]))
         try:
