@@ -157,7 +157,8 @@ def test_a_full_disk_is_one_line_with_the_name_of_a_file(
     arguments = [word.format(**values) for word in words]
     if words[1] in ("train", "convert"):  # their packages' writers end with the process
         code = (
-            "import resource, sys; sys.dont_write_bytecode = True; resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500));"
+            "import resource, sys; sys.dont_write_bytecode = True;"
+            "resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500));"
             "from dsrc.__main__ import main; main(sys.argv[1:])"
         )
         result = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)

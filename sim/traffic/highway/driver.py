@@ -159,7 +159,7 @@ class Driver(IDMVehicle):
             ahead = max(ahead, _CHANGE_M)
         away = np.array([np.interp(ahead, along, points[:, axis]) for axis in (0, 1)]) - to_world(self.position)
         # To the left of the heading in our world is to the right in highway-env's.
-        aside = away @ [np.sin(self.heading), np.cos(self.heading)]
+        aside = float(away @ [np.sin(self.heading), np.cos(self.heading)])
         most = min(_SIDE_MPS2 / max(self.speed, 0.5) ** 2, _TIGHTEST)
         bend = min(max(2.0 * aside / max(float(away @ away), 1.0), -most), most)
         slip = -float(np.arcsin(min(max(bend * 0.5 * self.LENGTH, -0.9), 0.9)))

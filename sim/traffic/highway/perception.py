@@ -259,7 +259,7 @@ def _stops(drivers: Sequence[Driver], paths: Sequence[PathAhead]) -> Array:
         return stops  # see `Junction`
     near = _may_meet(drivers, paths)
     for i in range(len(drivers)):
-        for j in np.flatnonzero(near[i, i + 1 :]) + i + 1:
+        for j in (np.flatnonzero(near[i, i + 1 :]) + i + 1).tolist():
             far = np.abs(paths[i].points[0] - paths[j].points[0]).max() > 2.0 * _LOOK_M
             if far or drivers[i].off_lanes or drivers[j].off_lanes:
                 continue
