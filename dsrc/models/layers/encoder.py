@@ -73,10 +73,14 @@ class PillarMap:
         cell = (cloud * self.height + row) * self.width + column
         shape = self.clouds * self.height * self.width, self.features.shape[1]
         if self.padded:
+            # In the precision of the layers that follow, which would convert all cells.
+            kind = cell.device.type
+            half = torch.is_autocast_enabled(kind)
+            features = self.features.to(torch.get_autocast_dtype(kind)) if half else self.features
             # The last rows take what is no part of the map.
             spare = shape[0] + torch.arange(len(cell), device=cell.device) % SPARE_ROWS
             cell = torch.where(cloud < self.clouds, cell, spare)
-            cells = self.features.new_zeros((shape[0] + SPARE_ROWS, shape[1])).index_copy_(0, cell, self.features)
+            cells = features.new_zeros((shape[0] + SPARE_ROWS, shape[1])).index_copy_(0, cell, features)
             return cells[: shape[0]].view(self.clouds, self.height, self.width, -1).permute(0, 3, 1, 2)
         if empty is None:
             cells = self.features.new_zeros(shape)
