@@ -1,9 +1,17 @@
-"""Faults of an ego's computing and actuation over an episode."""
+"""Faults of an ego's localisation, computing and actuation over an episode."""
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.closed_loop.types import EgoState, Percept
 from dsrc.faults.fault import Fault, Faults
+from dsrc.faults.localisation import believed_from_true, pose_error
+from sim.boxes import Boxes
+from sim.geometry import pose_matrix
 from sim.streams import Stream, random_generator
 
 
@@ -29,6 +37,29 @@ class EgoFaults:
     def missed(self, time_s: float) -> bool:
         """Whether the detector's cycle at a time is missed: nothing comes of what was measured then."""
         return any(self._drawn(fault, time_s) for fault in self._there("missed_cycles", time_s))
+
+    def believed(self, ego: EgoState, time_s: float) -> EgoState:
+        """Return the ego's state as it believes it to be at a time of the episode; its route is that of the map."""
+        for fault in self._there("speed_reading", time_s):
+            speed, gained = ego.speed_mps * fault.value, ego.acceleration_mps2 * fault.value
+            ego = replace(ego, speed_mps=speed, acceleration_mps2=gained)
+        error = pose_error(self._faults, self._seed, self._ego_id, self._ego_id, time_s)
+        if not error.any():
+            return ego
+        return replace(
+            ego,
+            box=ego.box.transform(believed_from_true(_body(ego.box), error)),
+            route=_begun(ego.route, float(error[0])),
+            lights=tuple(replace(light, distance_m=light.distance_m - float(error[0])) for light in ego.lights),
+        )
+
+    def believed_percept(self, percept: Percept, ego: Boxes, time_s: float) -> Percept:
+        """Return what is perceived by the ego at a box in the world as the ego believes it."""
+        error = pose_error(self._faults, self._seed, self._ego_id, self._ego_id, time_s)
+        if not error.any():
+            return percept
+        believed = believed_from_true(_body(ego), error)
+        return replace(percept, boxes=percept.boxes.transform(believed), velocity=percept.velocity @ believed[:2, :2].T)
 
     def acted(self, wanted_mps2: float, time_s: float) -> float:
         """Return the acceleration that a vehicle makes of the commands so far, m/s2; asked once a step, in order.
@@ -59,3 +90,20 @@ class EgoFaults:
         step = 1 + round(time_s / self._step_s)
         rng = random_generator(self._seed, Stream.FAULT, fault.kind, step, self._ego_id)
         return float(rng.random()) < fault.value
+
+
+def _body(box: Boxes) -> NDArray[np.float64]:
+    return np.asarray(pose_matrix(box.center[0], box.yaw[0]))
+
+
+def _begun(route: NDArray[np.float64], ahead_m: float) -> NDArray[np.float64]:
+    """Return a route that begins so much further along it; where that is behind, it is continued straight back."""
+    steps = np.linalg.norm(np.diff(route, axis=0), axis=1)
+    if len(route) < 2 or not steps[0] > 0.0:
+        return route
+    if ahead_m < 0.0:
+        return np.concatenate([[route[0] + (route[1] - route[0]) / steps[0] * ahead_m], route])
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    begin_m = min(ahead_m, float(along[-1]) - 1e-3)
+    first = [float(np.interp(begin_m, along, axis)) for axis in route.T]
+    return np.concatenate([[first], route[along > begin_m]])

@@ -102,6 +102,7 @@ class PerceptionClock:
         Raises:
             UserError: a setting of the perception does not fit the scenario.
         """
+        self._ego_id = ego_id
         try:
             self._perception.reset(scenario, ego_id, seed)
         except UserError:
@@ -133,6 +134,9 @@ class PerceptionClock:
                 self.failure = f"took {took_s:.0f} s, limit {self._settings.perception_limit_s:g} s"
                 return None
             time_s = self._steps * self._step_s
+            if not getattr(self._perception, "believes", False):
+                row = now.row(self._ego_id)
+                percept = self._own.believed_percept(percept, now.boxes[row : row + 1], time_s)
             if not self._own.missed(time_s):
                 self._waiting.append((self._own.latency_s(time_s, self._settings.latency_s), percept))
         self._steps += 1
@@ -340,11 +344,15 @@ class ClosedLoop:
             self.outcome, self.message = Outcome.PERCEPTION_FAILED, self._clock.failure
         percept = shown(self.driver, percept)
         with self._timed("track"):
-            others = None if percept is None else without_ego(percept, self._ego_at(percept.time_s, ego))
+            others = None if percept is None else without_ego(percept, self._known(self._ego_at(percept.time_s, ego)))
             tracks = self._tracker.update(others, now.time_s)
         with self._timed("decide"):
-            decision = self.driver.decide(ego, tracks) if contact is None else Decision(0.0)
+            decision = self.driver.decide(self._known(ego), tracks) if contact is None else Decision(0.0)
         self.ticks.append(Tick(now, ego, percept, tracks, decision, claims, contact))
+
+    def _known(self, ego: EgoState) -> EgoState:
+        """Return a state of the ego as it believes it to be."""
+        return self._own.believed(ego, ego.time_s - self.start_s)
 
     def _ego_at(self, time_s: float, now: EgoState) -> EgoState:
         """Return the ego's state at a time of this episode, the nearest one."""

@@ -42,9 +42,11 @@ def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | 
             break
         others = None
         if percept is not None:
-            others = without_ego(percept, log.ticks[int(np.abs(times - percept.time_s).argmin())].ego)
+            measured = log.ticks[int(np.abs(times - percept.time_s).argmin())].ego
+            others = without_ego(percept, own.believed(measured, measured.time_s - times[0]))
         tracks = tracker.update(others, tick.actors.time_s)
-        decision = driver.decide(tick.ego, tracks) if tick.contact is None else Decision(0.0)
+        known = own.believed(tick.ego, tick.ego.time_s - times[0])
+        decision = driver.decide(known, tracks) if tick.contact is None else Decision(0.0)
         ticks.append(Tick(tick.actors, tick.ego, percept, tracks, decision, tick.claims, tick.contact))
         before = tick.actors
     return EpisodeLog(msgspec.structs.replace(settings, perception=name), log.actors[0], ticks, outcome, message)

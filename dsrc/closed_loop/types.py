@@ -130,7 +130,7 @@ class Tick:
 
     Attributes:
         actors: ground truth; no part of the driver sees it.
-        ego: the ego as it knows itself.
+        ego: the ego as it knows itself; as it is, where its localisation has a fault.
         percept: newest percept that has arrived; None before the first and where no new one arrived in this step.
         tracks: tracks at the present.
         decision: decision for the step that follows.

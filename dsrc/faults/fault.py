@@ -89,6 +89,13 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
         return dict(zip(names, msgspec.structs.astuple(self.settings), strict=True)) if names else {}
 
     @property
+    def needs(self) -> str:
+        """What it acts on beside the ego itself: `sensor`, `radio` (helpers), or ""."""
+        if self.what.place == "localisation":
+            return "radio" if self.agents == "helpers" else ""
+        return self.what.place if self.what.place in ("sensor", "radio") else ""
+
+    @property
     def agents_text(self) -> str:
         """Agents as texts have them."""
         return self.agents if isinstance(self.agents, str) else ",".join(map(str, self.agents))

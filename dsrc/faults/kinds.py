@@ -112,6 +112,29 @@ class Misalignment(FaultSettings, frozen=True):
     up_cm: float = 0.0
 
 
+class Size(FaultSettings, frozen=True):
+    """Standard deviation of each error of a pose, m and degrees."""
+
+    RANGES: ClassVar[Ranges] = {"size": (0.0, inf)}
+    size: float
+
+
+class Bias(FaultSettings, frozen=True):
+    """Error of a pose, m ahead and to the left, degrees counter-clockwise."""
+
+    ahead_m: float
+    aside_m: float = 0.0
+    turn_deg: float = 0.0
+
+
+class Drift(FaultSettings, frozen=True):
+    """Error of a pose that grows from 0, m/s ahead and to the left, degrees/s counter-clockwise."""
+
+    ahead_mps: float
+    aside_mps: float = 0.0
+    turn_deg_s: float = 0.0
+
+
 class Gain(FaultSettings, frozen=True):
     """Factor."""
 
@@ -142,6 +165,10 @@ KINDS: dict[str, FaultKind] = {
     "blocked": FaultKind("sensor", Blocked),
     "dirt": FaultKind("sensor", Dirt),
     "misalignment": FaultKind("sensor", Misalignment),
+    "localisation_noise": FaultKind("localisation", Size, "all", ("pose_error",)),
+    "localisation_bias": FaultKind("localisation", Bias),
+    "localisation_drift": FaultKind("localisation", Drift),
+    "speed_reading": FaultKind("localisation", Gain, "ego"),
     "loss": FaultKind("radio", Share, "helpers", ("loss",)),
     "bursts": FaultKind("radio", Bursts, "helpers", ("burst_loss", "burst_s")),
     "delay": FaultKind("radio", Seconds, "helpers", ("delay_s",)),

@@ -1,4 +1,4 @@
-"""Faults of sensors on the sweeps of frames: corruptions, and what has a time or a place in the sensor's own field.
+"""Faults of sensors, and of their agents' localisation, on the sweeps of frames.
 
 Draws are those of the agent, the kind and the frame's number, whatever the numbers of the fault: a larger share takes
 what a smaller one takes, and more.
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dsrc.faults.fault import Fault, Faults
 from dsrc.faults.kinds import Blocked, Dirt, Misalignment, Severity, Share
+from dsrc.faults.localisation import believed_from_true, pose_error
 from sensors.corruptions.apply import count_lost
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import MOVED, SCATTERED, Sweep
@@ -26,12 +27,13 @@ class SensorFaults:
     """Faults of the sensors of an episode, each acting on what those before it left.
 
     Args:
-        faults: those that do not act on sensors do not matter.
+        faults: those that act neither on sensors nor on localisation do not matter.
         seed: of the episode.
     """
 
     def __init__(self, faults: Faults, seed: int) -> None:
         self._faults = tuple(one for one in faults if one.what.place == "sensor")
+        self._lost = tuple(one for one in faults if one.what.place == "localisation")
         self._seed = seed
         self._last: dict[tuple[int, int], Sweep] = {}
 
@@ -52,7 +54,17 @@ class SensorFaults:
                 if fault.on(agent.agent_id, ego_id):
                     sweeps[row] = self._sweep((number, agent.agent_id), fault, agent, frame.index, time_s, there)
             frame = frame.with_sweeps(sweeps)
-        return frame
+        if not self._lost:
+            return frame
+        return frame.with_sweeps([self._mislocated(agent, ego_id, time_s) for agent in frame.agents])
+
+    def _mislocated(self, agent: AgentFrame, ego_id: int, time_s: float) -> Sweep:
+        """Return the sweep of an agent at the place where it believes to be."""
+        error = pose_error(self._lost, self._seed, agent.agent_id, ego_id, time_s)
+        if not error.any():
+            return agent.sweep
+        believed = believed_from_true(agent.world_from_body, error)
+        return replace(agent.sweep, world_from_lidar=believed @ agent.sweep.world_from_lidar)
 
     def _sweep(
         self, key: tuple[int, int], fault: Fault, agent: AgentFrame, index: int, time_s: float, there: bool

@@ -493,10 +493,10 @@ def _acts(disturbance: Disturbance, channels: tuple[str, ...], one: PerceptionSp
     All of it must act on a perception without a sensor, and some of it on one without helpers.
     """
     condition, channel, faults = disturbance
-    places = {fault.what.place for fault in faults}
+    needs = {fault.needs for fault in faults}
     if one.kind in WITHOUT_SENSOR:
-        return condition.kind == CLEAN and channel in channels and not places & {"sensor", "radio"}
-    return helped or condition.kind != CLEAN or bool(places - {"radio"}) or (not faults and channel in channels)
+        return condition.kind == CLEAN and channel in channels and not needs & {"sensor", "radio"}
+    return helped or condition.kind != CLEAN or bool(needs - {"radio"}) or (not faults and channel in channels)
 
 
 def _has_detector(one: PerceptionSpec) -> bool:

@@ -67,6 +67,9 @@ class DetectorPerception:
         self._ego_id = -1
         self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
 
+    believes = True
+    """Percepts are in the world as the ego believes it."""
+
     @property
     def message_interval_s(self) -> float | None:
         """Time between the helpers' messages, s; None without any, or where they arrive at once."""

@@ -92,7 +92,7 @@ def open_perception(
     corrupted = condition.checked().kind != CLEAN
     faults = parse_faults(fault, "perception") if isinstance(fault, str) else fault
     require_apart([*([Fault.of(condition)] if corrupted else []), *faults], "perception")
-    sensed = any(one.what.place in ("sensor", "radio") for one in faults)
+    sensed = any(one.needs for one in faults)
     if name in WITHOUT_SENSOR:
         given = {"corruption": corrupted, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
         given["fault"] = sensed

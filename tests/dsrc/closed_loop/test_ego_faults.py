@@ -11,7 +11,7 @@ from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.replay import replay
-from dsrc.closed_loop.types import Outcome, Tick
+from dsrc.closed_loop.types import Outcome, Percept, Tick
 from dsrc.faults.fault import parse_faults
 
 ASKED = [1.0, 2.0, 3.0, -4.0, -5.0, -6.0, 1.0, 2.0]
@@ -98,3 +98,26 @@ def test_an_episode_with_faults_repeats_bit_for_bit_and_replays(tmp_path: Path) 
     assert arrivals(list(again.ticks)) == arrivals(list(former.ticks))
     ours, theirs = ([tick.decision.acceleration_mps2 for tick in log.ticks] for log in (again, former))
     np.testing.assert_allclose(ours, theirs, atol=0.05)
+
+
+def test_an_ego_believes_its_place_and_speed_and_the_world_moves_with_it() -> None:
+    ego = driven(duration_s=1.0).ticks[0].ego
+    ahead = np.array([math.cos(ego.box.yaw[0]), math.sin(ego.box.yaw[0])])
+    for text, moved_m in (("localisation_bias:3", 3.0), ("localisation_bias:-3", -3.0), ("localisation_drift:1", 2.0)):
+        own = EgoFaults(parse_faults(text), seed=3, ego_id=1, step_s=0.1)
+        known = own.believed(ego, 2.0)
+        np.testing.assert_allclose(known.box.center[0, :2] - ego.box.center[0, :2], moved_m * ahead, atol=1e-6)
+        np.testing.assert_allclose(known.route[0], known.box.center[0, :2], atol=0.05, err_msg="its route begins there")
+        np.testing.assert_array_equal(known.route[-1], ego.route[-1])
+        seen = Percept(ego.time_s, ego.box, np.ones(1), np.full((1, 2), np.nan))
+        np.testing.assert_allclose(own.believed_percept(seen, ego.box, 2.0).boxes.center, known.box.center)
+    slow = EgoFaults(parse_faults("speed_reading:0.8 to 5 s"), 3, 1, 0.1)
+    assert slow.believed(ego, 2.0).speed_mps == pytest.approx(0.8 * ego.speed_mps) and slow.believed(ego, 5.0) is ego
+
+
+def test_a_wrong_place_of_who_sees_all_changes_no_distance_and_a_wrong_speed_does() -> None:
+    well, moved, slow = (driven(text) for text in ("", "localisation_bias:2", "speed_reading:0.5"))
+    assert moved.outcome is Outcome.ARRIVED
+    np.testing.assert_array_equal(moved.tick.actors.boxes.label, well.tick.actors.boxes.label)
+    speeds = [max(tick.ego.speed_mps for tick in loop.ticks) for loop in (well, slow)]
+    assert speeds[1] > speeds[0] + 1.0, "the log has the true speed, which is above what the ego reads"

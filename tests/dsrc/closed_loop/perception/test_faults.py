@@ -29,6 +29,7 @@ SENSED = {
     "blocked": "blocked:180",
     "dirt": "dirt:0.8,growth_s=0",
     "misalignment": "misalignment:2,up_cm=10",
+    "localisation_bias": "localisation_bias:2,aside_m=1",
 }
 RADIO = {
     "loss": "loss:1",
@@ -154,3 +155,23 @@ def test_every_kind_of_sensor_and_radio_is_tested_here() -> None:
     told = {name for name, kind in KINDS.items() if kind.place in ("sensor", "radio")}
     assert told <= SENSED.keys() | RADIO.keys()
     assert Fault(kind="fog", settings=CORRUPTION.settings()).text == "fog:3"
+
+
+def test_an_ego_that_believes_to_be_elsewhere_finds_all_it_sees_there() -> None:
+    (clean, *_), (moved, *_) = (driven(text, cooperative=False)[0] for text in ("", "localisation_bias:2,aside_m=-1"))
+    np.testing.assert_allclose(moved.boxes.center - clean.boxes.center, [[2.0, -1.0, 0.0]], atol=1e-6)
+    drift = [one.boxes.center[0, 0] for one in driven("localisation_drift:1 from 0.2 s to 0.5 s", cooperative=False)[0]]
+    np.testing.assert_allclose(np.array(drift) - drift[0], [0, 0, 0, 0.1, 0.2, 0, 0, 0, 0], atol=1e-6)
+
+
+def test_a_helper_that_believes_to_be_elsewhere_is_there_for_the_ego() -> None:
+    for text, off in (("localisation_bias:2 on helpers", [-2.0, 0.0]), ("localisation_bias:2 on ego", [-2.0, 0.0])):
+        places = [sample.ego_from_agent[1, :2, 3] for sample in (driven()[2][0], driven(text)[2][0])]
+        np.testing.assert_allclose(places[1] - places[0], off, atol=1e-4, err_msg=text)
+
+
+def test_noise_of_helpers_is_the_radios_and_of_the_ego_its_own() -> None:
+    noisy, (clean, *_) = driven("localisation_noise:0.5"), driven()[2]
+    placed = [sample.ego_from_agent[1].tobytes() for sample in noisy[2]]
+    assert len(set(placed)) == STEPS and clean.ego_from_agent[1].tobytes() not in placed
+    assert {tuple(differ(*pair)) for pair in zip(noisy[1], driven()[1], strict=True)} == {(EGO,)}
