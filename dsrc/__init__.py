@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from dsrc.closed_loop.replay import replay
     from dsrc.closed_loop.report.report import write_report
     from dsrc.closed_loop.report.terminal import summary_table
+    from dsrc.closed_loop.seen_space import SeenSpace
     from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
     from dsrc.data.clouds.corrupt import corrupt
     from dsrc.data.clouds.transform import CorruptTransform
@@ -71,6 +72,7 @@ _MODULES = {
     "dsrc.closed_loop.report.report": ("write_report",),
     "dsrc.closed_loop.report.terminal": ("summary_table",),
     "dsrc.closed_loop.replay": ("replay",),
+    "dsrc.closed_loop.seen_space": ("SeenSpace",),
     "dsrc.closed_loop.types": ("Decision", "EgoState", "Outcome", "Percept", "Tracks"),
     "dsrc.data.clouds.corrupt": ("corrupt",),
     "dsrc.data.clouds.transform": ("CorruptTransform",),
@@ -165,6 +167,7 @@ __all__ = [
     "Percept",
     "Tracks",
     "EgoState",
+    "SeenSpace",
     "Decision",
     "Outcome",
     "EpisodeLog",

@@ -20,6 +20,7 @@ from dsrc.closed_loop.environments.vehicles import TrackedVehicle
 from dsrc.closed_loop.environments.viewer import CRASHED, EGO, TRACK, LoopViewer
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
+from dsrc.closed_loop.seen_space import SeenSpace
 from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Perception, Tracks
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.scenario import Scenario
@@ -32,10 +33,17 @@ _WALKS_MPS = 0.5
 
 
 class _Agent:
-    """Driver of the loop in whose place an environment's agent decides."""
+    """Driver of the loop in whose place an environment's agent decides, and its newest seen space."""
+
+    seen: SeenSpace | None = None
 
     def reset(self, lanes: LaneMap | None) -> None:
         """Begin an episode."""
+        self.seen = None
+
+    def see(self, seen: SeenSpace) -> None:
+        """Take the newest seen space."""
+        self.seen = seen
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return no acceleration: the agent's replaces it."""
@@ -176,6 +184,12 @@ class DrivingEnv(AbstractEnv):
         interval_s = self.config["detect_every_s"]
         found = open_perception(perception, interval_s=interval_s) if isinstance(perception, str) else perception
         return ClosedLoop(self.config["scenario"], found, _Agent(), settings)
+
+    @property
+    def seen(self) -> SeenSpace | None:
+        """The newest seen space of the perception; None of one without sweeps, see `dsrc.closed_loop.seen_space`."""
+        driver = self.loop.driver
+        return driver.seen if isinstance(driver, _Agent) else None
 
     @property
     def _steps(self) -> int:

@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 from dsrc.closed_loop.environments import ENVIRONMENTS
 from dsrc.closed_loop.environments.driving import DrivingEnv
 from dsrc.closed_loop.loop import ClosedLoop
-from dsrc.closed_loop.types import Outcome, Percept
+from dsrc.closed_loop.types import Outcome, Percept, Perception
 from sim.boxes import Boxes
 from sim.errors import SettingsError, TrafficError
 from sim.scenario import Scenario
@@ -54,6 +54,18 @@ def test_gymnasium_finds_nothing_to_complain_about(name: str) -> None:
         env = gym.make(name, scenario=SCENARIO, render_mode="rgb_array", disable_env_checker=True)
         check_env(env.unwrapped, skip_render_check=False)
         env.close()
+
+
+@pytest.mark.parametrize(("perception", "sees"), [("truth", True), (Blind(), False)])
+def test_an_agent_may_look_at_the_seen_space(perception: str | Perception, sees: bool) -> None:
+    env = gym.make("dsrc/Rail-v0", scenario=SCENARIO, perception=perception).unwrapped
+    assert isinstance(env, DrivingEnv)
+    env.reset(seed=3)
+    place = env.loop.tick.ego.box.center[:, :2]
+    assert (env.seen is not None) == sees
+    if env.seen is not None:
+        assert env.seen.sees(place).all() and not env.seen.sees(place + 1000.0).any()
+    env.close()
 
 
 def test_an_id_is_known_to_make_by_its_module() -> None:
