@@ -45,6 +45,14 @@ def in_world(scenario: Scenario, world: Literal[1, 2] | None) -> Scenario:
     return scenario if world is None else msgspec.structs.replace(scenario, world=world)
 
 
+def parked_along(scenario: Scenario, per_km: float | None) -> Scenario:
+    """Return a scenario with so many parked cars per km of kerb; an encounter, and with None any other, as it is."""
+    if per_km is None or scenario.conflict is not None:
+        return scenario
+    demand = msgspec.structs.replace(scenario.demand, parked_per_km=per_km)
+    return msgspec.structs.replace(scenario, demand=demand)
+
+
 def at_place(scenario: Scenario, at: str | tuple[float, float]) -> Scenario:
     """Return a scenario whose agents drive around a point of its world.
 

@@ -26,7 +26,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from dsrc.data.changes import in_world, with_sensors
+from dsrc.data.changes import in_world, parked_along, with_sensors
 from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec
 from dsrc.options.drives import DriveOptions
@@ -56,6 +56,7 @@ class DriveGroup(DriveOptions, frozen=True, forbid_unknown_fields=True, kw_only=
         roadside: keep the roadside units.
         mount: x y z in the body frame, m, and pitch, deg, of the vehicles' LiDARs; unset: the scenario's.
         world: version of the scenarios' world, see `sim.scenario.Scenario`; unset: theirs.
+        parked_per_km: parked cars and vans per km of kerb with room for them; unset: the scenarios'. Encounters have none.
     """
 
     scenarios: Annotated[tuple[str, ...], Meta(min_length=1)]
@@ -67,6 +68,7 @@ class DriveGroup(DriveOptions, frozen=True, forbid_unknown_fields=True, kw_only=
     roadside: bool = True
     mount: tuple[float, float, float, float] | None = None
     world: Literal[1, 2] | None = None
+    parked_per_km: Annotated[float, Meta(ge=0)] | None = None
 
 
 class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -207,8 +209,11 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
             if in_world(scenario, group.world).uneven != scenario.uneven:
                 expected = f"{2 if scenario.uneven else 1}, on whose ground {recorded} was recorded"
                 raise SettingsError(complaint(where, "world", expected, group.world))
+            if parked_along(scenario, group.parked_per_km) != scenario:
+                expected = f"{scenario.demand.parked_per_km:g}, as {recorded} was recorded"
+                raise SettingsError(complaint(where, "parked_per_km", expected, group.parked_per_km))
         scenario = with_sensors(scenario, number, lidar, roadside_lidar, group.roadside, group.mount)
-        scenario = in_world(scenario, group.world)
+        scenario = parked_along(in_world(scenario, group.world), group.parked_per_km)
         spec = DriveSpec(scenario, seed, frames, **group.shared())
         spec.check(where)
         yield DriveItem(split, drive, spec, recorded, proof)

@@ -34,6 +34,13 @@ def test_sensors_and_mounts_vary_in_training() -> None:
     assert raised and all(rule.mount_pitch_deg == pytest.approx(1.5) for rule in raised) and len(raised) < len(rules)
 
 
+def test_cars_are_parked_along_the_kerbs_of_towns_but_in_encounters() -> None:
+    for item in items():
+        scenario = item.spec.scenario
+        town = scenario.conflict is None and scenario.name not in ("motorway_a10", "highway")
+        assert (scenario.demand.parked_per_km >= 90) == town, item.name
+
+
 def test_no_place_of_the_held_back_splits_is_trained_or_validated_on() -> None:
     places: dict[bool, set[str]] = {True: set(), False: set()}
     for item in items():
