@@ -36,8 +36,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
             episode flips; default: none.
         fail_under: conditions, [PERCEPTION:] QUANTITY SIGN NUMBER, such as crashed<=5% or "team: pdms>=0.8": exit with
-            1 where one fails for a perception. Quantities are shares of episodes (crashed, at_fault, arrived, stuck,
-            timeout, left, lost, failed), means of the metrics in results.csv, and with a baseline the numbers of
+            1 where one fails for a perception. Quantities are shares of episodes (crashed, at_fault, arrived, success,
+            stuck, timeout, left, lost, failed), means of the metrics in results.csv, and with a baseline the numbers of
             episodes fixed and broken; default: none.
         baseline: results.csv of an earlier run, or its folder, whose episodes of equal settings and seed are compared
             with these; default: none.

@@ -12,6 +12,7 @@ from dsrc.closed_loop.metrics.comparison import Value, arrived, collided, counte
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.closed_loop.metrics.statistics import UNKNOWN, Estimate, mean, rate
 from dsrc.closed_loop.report.baseline import Change
+from dsrc.closed_loop.report.scores import success
 from dsrc.closed_loop.types import Outcome
 from dsrc.tables.table import Table
 from sim.errors import SettingsError, complaint, did_you_mean
@@ -43,7 +44,9 @@ _OF_ALL: dict[str, Value] = {"lost": _ends(Outcome.DESYNCHRONISED), "failed": _e
 """Shares of all episodes."""
 _CHANGES = ("fixed", "broken")
 """Numbers of episodes that changed against a baseline."""
-_SHARES = (*_COUNTED, *_OF_ALL, "arrived")
+_MET: dict[str, Value] = {"arrived": arrived, "success": success}
+"""Shares of the episodes that met their encounter."""
+_SHARES = (*_COUNTED, *_OF_ALL, *_MET)
 _METRICS = tuple(name for name in EpisodeMetrics.__struct_fields__ if name not in _SHARES)
 
 
@@ -99,8 +102,8 @@ class Condition:
         if self.quantity in _OF_ALL:
             values = [_OF_ALL[self.quantity](one) for one in results]
             return rate(values), len(values)
-        if self.quantity == "arrived":
-            values = [arrived(one) for one in counted(results, failed=True)]
+        if self.quantity in _MET:
+            values = [_MET[self.quantity](one) for one in counted(results, failed=True)]
             return rate(values), len(values)
         if self.quantity in _COUNTED:
             values = [_COUNTED[self.quantity](one) for one in counted(results)]

@@ -35,6 +35,7 @@ from dsrc.closed_loop.report.cells import (
 )
 from dsrc.closed_loop.report.findings import NOTHING, Findings, counted_causes
 from dsrc.closed_loop.report.gate import GATE_NAMES
+from dsrc.closed_loop.report.scores import HAZARD_HEADS, SCORE_HEADS, hazard_rows, score_rows
 from dsrc.closed_loop.types import Outcome
 from dsrc.tables.table import Column, Strong, Table, TableRow
 from sensors.corruptions import CLEAN
@@ -49,6 +50,8 @@ NAMES = {
     "differences": "Paired crashes",
     "arrivals": "Paired arrivals",
     "pace": "Time and braking at equal safety",
+    "scores": "Scores, time and comfort",
+    "hazards": "Routes with and without their hazard",
     "robustness": "Closed-loop corruption error",
     "reasons": "Causes of crashes",
     "causes": "What came late",
@@ -86,6 +89,8 @@ def tables(result: CampaignResult, more: Findings = NOTHING) -> dict[str, Table]
         _differences(result.plan, common),
         _arrivals(result.plan, of_first[0]),
         _pace(result.plan, of_first[0]),
+        _scores(common),
+        _hazards(common),
         _robustness(result.plan, of_first[0]),
         _reasons(result.results, more),
         _causes(of_first[0]),
@@ -348,6 +353,26 @@ def _conditions_of(results: Sequence[EpisodeResult]) -> dict[str, list[EpisodeRe
 def _paired(matched: Sequence[tuple[Result, Result]], value: Value) -> PairedRates:
     ours, theirs = ([value(pair[side]) for pair in matched] for side in (0, 1))
     return paired_rates(ours, theirs, clusters=[(one.scenario, one.seed) for one, _ in matched])
+
+
+def _scores(results: Sequence[EpisodeResult]) -> Table:
+    """Table of the scores of other benchmarks, time and comfort."""
+    text = (
+        "Of the episodes that met their encounter, in brackets the interval of 95 %. Success: arrived without a "
+        "collision or a red light run (Bench2Drive). Score: CARLA's driving score 2.0 and 2.1. PDMS: NAVSIM's. "
+        "Comfort: share of the steps within nuPlan's bounds. Time: of arrivals. First sight of the conflict actor and "
+        "its track: s after the start, of the ego for a perception without messages, of the team for one with them."
+    )
+    return _table("scores", SCORE_HEADS, score_rows(results), text, left=2)
+
+
+def _hazards(results: Sequence[EpisodeResult]) -> Table:
+    """Table of pairs of a route with and without its hazard."""
+    text = (
+        "Each encounter beside its control on the same seed, the route with its hazard less that without it, as "
+        "Fail2Drive pairs routes. Time: pairs in which both arrive."
+    )
+    return _table("hazards", HAZARD_HEADS, hazard_rows(results), text, left=3)
 
 
 def _alone(plan: Campaign) -> str | None:
