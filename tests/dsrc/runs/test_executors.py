@@ -105,3 +105,11 @@ def test_wrong_settings_are_named() -> None:
 def test_a_pool_starts_no_more_workers_than_there_are_items() -> None:
     assert isinstance(Pool(8).open(1), SerialExecutor) and isinstance(Pool(8).open(2), ProcessExecutor)
     assert Pool(1).open().threads is None and Pool(2).open().threads == 1
+
+
+@pytest.mark.parametrize(("cores", "executor"), [(1, SerialExecutor), (2, ProcessExecutor)])
+def test_a_pool_has_a_worker_for_each_core_unless_told(
+    cores: int, executor: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dsrc.runs.executors.core_count", lambda: cores)
+    assert isinstance(Pool().open(), executor)
