@@ -56,7 +56,7 @@ class DriveGroup(DriveOptions, frozen=True, forbid_unknown_fields=True, kw_only=
         roadside: keep the roadside units.
         mount: x y z in the body frame, m, and pitch, deg, of the vehicles' LiDARs; unset: the scenario's.
         world: version of the scenarios' world, see `sim.scenario.Scenario`; unset: theirs.
-        parked_per_km: parked cars and vans per km of kerb with room for them; unset: the scenarios'. Encounters have none.
+        parked_per_km: parked cars and vans per km of kerb with room, none in encounters; unset: the scenarios'.
     """
 
     scenarios: Annotated[tuple[str, ...], Meta(min_length=1)]
