@@ -29,6 +29,7 @@ from dsrc.closed_loop.campaign.run import (
     engines_there,
     read_results,
     replay_at,
+    results_csv,
     reused,
     run_campaign,
     take_episodes,
@@ -397,3 +398,27 @@ def test_a_killed_campaign_keeps_its_rows_and_resumes_to_the_same_bytes(tmp_path
     subprocess.run([*line, "--out", str(killed)], check=True, capture_output=True)
     assert (killed / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
     assert json.loads((killed / "plan.json").read_text())["name"] == "ima_building"
+
+
+def test_a_fault_is_a_row_of_tables_a_column_of_results_and_part_of_a_log(tmp_path: Path) -> None:
+    """A plan without faults has neither the column nor the field: its files keep their bytes."""
+    text = "latency:0.3 from 1 s to 2 s + brake_gain:0.9"
+    plan = replace(PLAN, perceptions=PLAN.perceptions[:1], fault=(text,), clean_seeds=1, seeds=1)
+    result = run_campaign(plan, tmp_path)
+    assert [(one.title, one.clean) for one in result.results] == [("clean", True), (text, False)]
+    assert [row["fault"] for row in rows(tmp_path)] == ["", text]
+    assert list(read_results([tmp_path / "results.csv"]).values())[1].title == text
+    assert f"| truth | {text} | 1 |" in markdown(result) and "0 with a fault" in markdown(result)
+    shown = {str(row.cells[1]) for row in summary_table(result).rows}
+    assert shown == {"clean", text}
+    clean, faulted = (tmp_path / "episodes" / f"{one.key}.npz" for one in result.results)
+    assert EpisodeLog.load(faulted).settings.fault == text
+    assert '"fault"' not in str(np.load(clean)["about"]) and '"fault"' not in clean.with_suffix(".json").read_text()
+    former, again = replay_at(faulted, DriveOptions(what=str(faulted)))
+    ages = [[tick.actors.time_s - tick.percept.time_s for tick in log.ticks if tick.percept] for log in (former, again)]
+    assert ages[0] == ages[1] and again.settings.fault == text
+    other = DriveOptions(what=str(faulted), fault=("latency:0.1",))
+    assert replay_at(faulted, other)[1].settings.fault == "latency:0.1"
+    assert run_campaign(plan, tmp_path).made == 0
+    columns = results_csv([one for one in result.results if one.clean]).partition("\n")[0].split(",")
+    assert "fault" not in columns and "key" in columns
