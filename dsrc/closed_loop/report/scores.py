@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.metrics.comparison import Result, arrived, counted, metric
-from dsrc.closed_loop.metrics.statistics import Estimate, mean, paired_rates, rate
-from dsrc.closed_loop.report.cells import condition, groups, score, share
+from dsrc.closed_loop.metrics.statistics import mean, paired_rates, rate
+from dsrc.closed_loop.report.cells import condition, groups, number, score, share
 
 HAZARD_FREE = ("no_conflict", "no_occluder")
 """Controls of an encounter that are its route without its hazard: nobody comes, or nothing hides who comes."""
@@ -39,10 +39,10 @@ def score_rows(results: Sequence[EpisodeResult]) -> list[tuple[str, ...]]:
         numbers = (
             share(rate([success(one) for one in met])),
             *(score(one) for one in means),
-            _number(mean([metric(one, "duration_s") for one in there])),
-            _number(mean([metric(one, "hardest_brake_mps2") for one in met])),
-            _number(mean([metric(one, "seen_s") for one in met])),
-            _number(mean([metric(one, "tracked_s") for one in met])),
+            number(mean([metric(one, "duration_s") for one in there])),
+            number(mean([metric(one, "hardest_brake_mps2") for one in met])),
+            number(mean([metric(one, "seen_s") for one in met])),
+            number(mean([metric(one, "tracked_s") for one in met])),
         )
         rows.append((perception, title, str(len(met)), *numbers))
     return rows
@@ -77,7 +77,7 @@ def hazard_rows(results: Sequence[EpisodeResult]) -> list[tuple[str, ...]]:
             clusters = [(one.scenario, one.seed) for one, _ in found]
             drop = paired_rates(here, without, clusters=clusters).difference
             rates = (share(rate(without)), share(rate(here)), share(drop, signed=True))
-            more = (score(mean(gained)), _number(mean(longer)))
+            more = (score(mean(gained)), number(mean(longer)))
             rows.append((perception, title, control, str(len(found)), *rates, *more))
     return rows
 
@@ -85,10 +85,3 @@ def hazard_rows(results: Sequence[EpisodeResult]) -> list[tuple[str, ...]]:
 def _met(results: Sequence[EpisodeResult]) -> list[EpisodeResult]:
     """Return the episodes that met their encounter, those with a failed perception too."""
     return [one for one in results if counted([one], failed=True)]
-
-
-def _number(found: Estimate) -> str:
-    """Return a mean with its interval; "" if it is unknown."""
-    if found.value != found.value:
-        return ""
-    return f"{found.value:.1f}" + ("" if found.low != found.low else f" [{found.low:.1f}, {found.high:.1f}]")
