@@ -6,6 +6,7 @@ are in the order of their legend.
 
 import io
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -119,7 +120,9 @@ def add_legend(figure: Figure, axes: Axes, *, below: bool = False) -> None:
     """Add a legend outside the panels, at their right or below them."""
     handles, labels = axes.get_legend_handles_labels()
     if handles and below:
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(handles), 4))
+        rows = math.ceil(len(handles) / 5)
+        columns = math.ceil(len(handles) / rows)  # full rows, where four beside one would stand else
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns)
     elif handles:
         figure.legend(handles, labels, loc="outside right upper")
 
