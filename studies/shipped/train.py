@@ -1,7 +1,7 @@
 """Trainings of the detectors for real roads: plain and DSRC, alone and with collaborators, on dsrc-sim-2.
 
-Heights are above a fitted ground, cars of any height and sensors of six kinds are seen. All start from the shipped
-detectors' weights: what they know of shapes is kept. The runs follow each other, and each goes on where it was
+Heights are above a fitted ground, cars of any height and sensors of six kinds are seen. The first start from
+`starts/`, networks of an earlier form of the data set. The runs follow each other, and each goes on where it was
 stopped. `--share 0.01` tries them all on a hundredth of the steps; `--list` prints the plan. The data: `dsrc dataset
 build dsrc-sim-2 --out data/dsrc-sim-2`.
 
@@ -19,7 +19,7 @@ import torch
 from dsrc.training.recipes import RECIPES, Recipe, Stage, of_method, override
 from dsrc.training.train import train
 
-SHIPPED = Path(__file__).resolve().parents[2] / "dsrc" / "checkpoints"
+STARTS = Path(__file__).resolve().with_name("starts")
 BATCH = 4
 FRAMES = 1000
 """Frames of an epoch, drawn anew for each."""
@@ -48,7 +48,7 @@ class Run:
         name: of its folder.
         method: see `dsrc model train --method`.
         stage: `plain`, `teacher` or `student`.
-        start: name of the run, or of the shipped detector, whose weights it starts from.
+        start: name of the run, or of the file in `starts`, whose weights it starts from.
         steps: of `BATCH` frames.
         rate: peak learning rate.
         teacher: name of the run that teaches it; "" for none.
@@ -73,18 +73,18 @@ class Run:
 
 
 PLAN = (
-    Run("plain-alone", "no-collaboration", "plain", "small-plain", 2000, 1.5e-3),
+    Run("plain-alone", "no-collaboration", "plain", "unparked-plain-alone", 2000, 1.5e-3),
     Run("plain", "attfuse", "plain", "plain-alone", 750, 5e-4),
-    Run("teacher", "dsrc", "teacher", "small-dsrc", 1000, 1.5e-3),
-    Run("dsrc-alone", "dsrc-alone", "student", "small-dsrc", 2000, 1.5e-3, "teacher"),
+    Run("teacher", "dsrc", "teacher", "unparked-teacher", 1000, 1.5e-3),
+    Run("dsrc-alone", "dsrc-alone", "student", "unparked-dsrc-alone", 2000, 1.5e-3, "teacher"),
     Run("dsrc", "dsrc", "student", "dsrc-alone", 750, 5e-4, "teacher"),
 )
 """Runs in their order; a teacher goes before what it teaches. Plain and DSRC have equal steps."""
 
 
 def detector_of(name: str, out: Path) -> Path:
-    """Return the detector file of a run, or of a shipped detector."""
-    return out / name / "detector.pt" if name in {run.name for run in PLAN} else SHIPPED / f"{name}.pt"
+    """Return the detector file of a run, or of a start."""
+    return out / name / "detector.pt" if name in {run.name for run in PLAN} else STARTS / f"{name}.pt"
 
 
 def main() -> None:

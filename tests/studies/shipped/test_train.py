@@ -1,10 +1,10 @@
 """Trainings for real roads: runs follow their starts and teachers, and the recipes read heights above the ground."""
 
-from studies.shipped.train import BATCH, PLAN, SHIPPED
+from studies.shipped.train import BATCH, PLAN, STARTS
 
 
 def test_every_run_comes_after_what_it_starts_from_and_is_taught_by() -> None:
-    known = {path.stem for path in SHIPPED.glob("*.pt")}
+    known = {path.stem for path in STARTS.glob("*.pt")}
     for run in PLAN:
         assert run.start in known and (not run.teacher or run.teacher in known)
         known.add(run.name)
