@@ -21,7 +21,7 @@ from studies.closed_loop.page import committed
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "studies/numbers.json"
-PAGES = ("README.md", "docs/results.md", "docs/closed_loop.md", "docs/closed_loop_results.md")
+PAGES = ("README.md", "docs/results.md", "docs/closed_loop.md", "docs/campaigns.md", "docs/closed_loop_results.md")
 REPORT = ROOT / "studies/dsrc_paper/report"
 LOOP = ROOT / "studies/closed_loop"
 QUOTED = re.compile(r"<!--n:(\w+)-->(.*?)<!--/n-->")

@@ -85,7 +85,7 @@ def test_the_example_of_a_lidar_of_one_s_own_measures_the_hall() -> None:
 
 
 def test_every_metric_of_an_episode_has_a_row() -> None:
-    table = (ROOT / "docs/closed_loop.md").read_text(encoding="utf-8").split("\n## Metrics\n")[1].split("\n## ")[0]
+    table = (ROOT / "docs/campaigns.md").read_text(encoding="utf-8").split("\n## Metrics\n")[1].split("\n## ")[0]
     named = " ".join(re.findall(r"^\| (`[^|]*) \|", table, re.MULTILINE))
     listed = re.findall(r"`(\w+)`", named)
     assert sorted(listed) == sorted(EpisodeMetrics.__struct_fields__)

@@ -89,7 +89,11 @@ def test_the_order_of_the_tutorials_has_them_all() -> None:
     assert sorted(TUTORIALS) == sorted(set((ROOT / "docs/tutorials").glob("*.md")) - {ROOT / "docs/tutorials/index.md"})
 
 
-@pytest.mark.parametrize("page", [*TUTORIALS, ROOT / "docs/closed_loop.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page",
+    [*TUTORIALS, *(ROOT / f"docs/{name}.md" for name in ("closed_loop", "faults", "campaigns"))],
+    ids=lambda page: page.stem,
+)
 def test_every_command_of_a_page_parses(page: Path) -> None:
     commands = list(commands_of(page))
     assert commands
