@@ -79,7 +79,8 @@ def _read(path: str, _changed_ns: int) -> Network:
 
     check_regular(Path(path), "SUMO network", ScenarioError)
     with parsing(path, "SUMO network", ScenarioError):
-        net = sumolib.net.readNet(path, withInternal=True)
+        # Python's parser, where lxml is installed too, which leaves a broken file open.
+        net = sumolib.net.readNet(path, withInternal=True, lxml=False)
     if not net.getEdges():
         raise ScenarioError(complaint(path, "network", "at least one edge", "none"))
     net.kerb_side = 1.0 if _is_left_hand(Path(path)) else -1.0
