@@ -30,7 +30,17 @@ def parse(command: type[msgspec.Struct], prog: str, args: Sequence[str]) -> Any:
     import tyro
 
     flat = _flat(command)
-    return _struct(command, vars(tyro.cli(flat, prog=prog, description=describe(command), args=_today(flat, args))))
+    words = _today(flat, args)
+    _check_values(command, words)
+    return _struct(command, vars(tyro.cli(flat, prog=prog, description=describe(command), args=words)))
+
+
+def _check_values(command: type[msgspec.Struct], words: Sequence[str]) -> None:
+    """Refuse a list without values: the unset variable of a script must not pass as the default."""
+    lists = {f"--{name.replace('_', '-')}" for name, kind, _, _ in fields_of(command) if metavar(kind).endswith("...]")}
+    for word, following in zip(words, [*words, "--"][1:], strict=True):
+        if word in lists and following.startswith("--"):
+            raise SettingsError(f"{word}: expected at least one value, found none")
 
 
 def _today(flat: type, args: Sequence[str]) -> list[str]:

@@ -239,9 +239,11 @@ def _settings(kind: FaultKind, text: str, where: str, field: str) -> FaultSettin
         value = _number(number)
         fits = math.isfinite(value) and low <= value <= high and not (whole and value != round(value))
         if name in values or not fits:
-            expected = "once" if name in values else _range_text(low, high)
+            expected = "once" if name in values else f"{'a whole number, ' if whole else ''}{_range_text(low, high)}"
             raise SettingsError(complaint(where, f"{field}, {name}", expected, number))
         values[name] = int(value) if whole else value
+    if kind.settings.ANY and not values:
+        raise SettingsError(complaint(where, field, f"one of {', '.join(known)}", "none"))
     lacking = [name for name, one in known.items() if one.required and name not in values]
     if lacking:
         low, high = kind.settings.RANGES.get(lacking[0], (-inf, inf))

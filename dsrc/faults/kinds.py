@@ -20,9 +20,11 @@ class FaultSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         RANGES: least and largest value of each field; a field without a default must be given.
+        ANY: at least one field must be given, whichever.
     """
 
     RANGES: ClassVar[Ranges] = {}
+    ANY: ClassVar[bool] = False
 
 
 class Severity(FaultSettings, frozen=True):
@@ -104,7 +106,8 @@ class Misalignment(FaultSettings, frozen=True):
     RANGES: ClassVar[Ranges] = dict.fromkeys(("yaw_deg", "pitch_deg", "roll_deg"), (-180.0, 180.0)) | dict.fromkeys(
         ("ahead_cm", "aside_cm", "up_cm"), (-1e4, 1e4)
     )
-    yaw_deg: float
+    ANY: ClassVar[bool] = True
+    yaw_deg: float = 0.0
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
     ahead_cm: float = 0.0
@@ -122,7 +125,8 @@ class Size(FaultSettings, frozen=True):
 class Bias(FaultSettings, frozen=True):
     """Error of a pose, m ahead and to the left, degrees counter-clockwise."""
 
-    ahead_m: float
+    ANY: ClassVar[bool] = True
+    ahead_m: float = 0.0
     aside_m: float = 0.0
     turn_deg: float = 0.0
 
@@ -130,7 +134,8 @@ class Bias(FaultSettings, frozen=True):
 class Drift(FaultSettings, frozen=True):
     """Error of a pose that grows from 0, m/s ahead and to the left, degrees/s counter-clockwise."""
 
-    ahead_mps: float
+    ANY: ClassVar[bool] = True
+    ahead_mps: float = 0.0
     aside_mps: float = 0.0
     turn_deg_s: float = 0.0
 

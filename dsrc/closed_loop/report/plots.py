@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.causes.cause import Cause
@@ -203,6 +204,7 @@ def shares_of_causes(results: Sequence[EpisodeResult], causes: Mapping[str, Caus
                 left += own[kind]
         axes.set_yticks(range(len(counts)), [f"{perception}, {condition}" for perception, condition in counts])
         axes.set(ylim=(len(counts) - 0.5, -0.5), xlabel="crashes")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.grid(visible=False, axis="y")
         add_legend(figure, axes, below=True)
     return figure

@@ -128,7 +128,8 @@ def _plots(result: CampaignResult, more: Findings) -> "dict[str, Callable[[], Fi
     )
 
     common, apart = parts_of(result)
-    plan, every = result.plan, [one for one in common or apart if not one.fault]
+    whole = common or apart
+    plan, every = result.plan, [one for one in whole if not one.fault]
     severity = plan.severity[len(plan.severity) // 2]
     one_channel = [one for one in every if one.channel == plan.radios[0]]
     shown = [one for one in one_channel if one.corruption == CLEAN or one.severity == severity]
@@ -142,8 +143,8 @@ def _plots(result: CampaignResult, more: Findings) -> "dict[str, Callable[[], Fi
     cost = {label: value for label, value in quantities.items() if len({value(one) for one in clean}) > 1}
     if cost:
         plots["channels"] = partial(cost_of_channel, clean, cost)
-    if more.causes:
-        plots["shares"] = partial(shares_of_causes, every, more.causes)
+    if any(one.key in more.causes for one in whole):
+        plots["shares"] = partial(shares_of_causes, whole, more.causes)
     return plots
 
 

@@ -1,5 +1,6 @@
 """Faults as text: what is read is what is written, and what is wrong is told in one line."""
 
+import msgspec
 import pytest
 
 from dsrc.faults.fault import Fault, faults_text, parse_faults, require_apart
@@ -56,9 +57,9 @@ def test_it_is_there_from_its_begin_until_before_its_end() -> None:
     [
         ("fgo:3", "fault 'fgo:3': expected a kind of fault, found fgo; did you mean 'fog'?"),
         ("", "fault '': expected a kind of fault, found none"),
-        ("fog:9", "fault 'fog:9', severity: expected 1 to 5, found 9"),
-        ("fog:2.5", "fault 'fog:2.5', severity: expected 1 to 5, found 2.5"),
-        ("fog:thick", "fault 'fog:thick', severity: expected 1 to 5, found thick"),
+        ("fog:9", "fault 'fog:9', severity: expected a whole number, 1 to 5, found 9"),
+        ("fog:2.5", "fault 'fog:2.5', severity: expected a whole number, 1 to 5, found 2.5"),
+        ("fog:thick", "fault 'fog:thick', severity: expected a whole number, 1 to 5, found thick"),
         ("loss", "fault 'loss', share: expected 0 to 1, found none"),
         ("loss:nan", "fault 'loss:nan', share: expected 0 to 1, found nan"),
         ("delay:-1", "fault 'delay:-1', seconds: expected a number >= 0, found -1"),
@@ -107,3 +108,11 @@ def test_an_id_is_the_egos_once_it_is_known() -> None:
     require_apart(faults, "drive", ego_id=1001)
     with pytest.raises(SettingsError, match="one fault of the kind 'fog'"):
         require_apart(faults, "drive", ego_id=1000)
+
+
+def test_any_number_of_a_pose_is_enough_for_its_error_and_none_is_too_few() -> None:
+    for text in ("misalignment:pitch_deg=2", "localisation_bias:turn_deg=5", "localisation_drift:aside_mps=0.1"):
+        (fault,) = parse_faults(text)
+        assert next(iter(msgspec.structs.asdict(fault.settings).values())) == 0.0
+        with pytest.raises(SettingsError, match="one of"):
+            parse_faults(text.partition(":")[0])

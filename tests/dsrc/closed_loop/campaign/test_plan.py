@@ -395,5 +395,7 @@ def test_a_plan_says_faults_in_the_same_words(tmp_path: Path) -> None:
         (1, "", "ideal"),
     ]
     path.write_text(text.replace("fog:3", "fog:7") + '[[perceptions]]\nname = "team"\n')
-    with pytest.raises(SettingsError, match=r"plan.toml: fault 'fog:7 from 4 s on helpers', severity: expected 1 to 5"):
+    with pytest.raises(
+        SettingsError, match=r"plan.toml: fault 'fog:7 from 4 s on helpers', severity: expected a whole number, 1 to 5"
+    ):
         read_campaign(path)
