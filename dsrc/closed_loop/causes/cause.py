@@ -24,6 +24,7 @@ Kind = Literal[
     "seen late",
     "tracked late",
     "braked late",
+    "braked too little",
     "told wrongly",
     "hit from behind",
     "hit the world",
@@ -76,6 +77,7 @@ def cause_of(log: EpisodeLog, in_sight: InSight) -> Cause | None:
     * `missed`: in sight before the last chance, and no percept has a box of it before the crash.
     * `seen late`, `tracked late`, `braked late`: the first percept, the first track of those that held at the last
       chance, or the full braking, came after the last chance.
+    * `braked too little`: full braking was asked for in time, and was given up or did not act in full.
 
     Args:
         in_sight: lines of sight of the perception's LiDARs; those of all agents for one that uses messages.
@@ -147,7 +149,8 @@ def _late(log: EpisodeLog, in_sight: InSight, other_id: int, who: str) -> Cause:
     if braked > chance:
         why = f"{who} had its track {ago(tracked)}, full braking began {ago(braked)}; {needed}"
         return found("braked late", why, braked)
-    return found("braked late", f"full braking for {who} began {ago(braked)}, and did not last; {needed}")
+    why = f"full braking for {who} was asked for {ago(braked)}, in time, and was given up or did not act; {needed}"
+    return found("braked too little", why)
 
 
 def _told(log: EpisodeLog) -> str | None:

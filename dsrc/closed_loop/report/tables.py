@@ -404,9 +404,10 @@ def _reasons(results: Sequence[EpisodeResult], more: Findings) -> Table:
     ]
     text = (
         "Crashes by what came first after the last chance, the last step from which full braking avoids the crash. "
-        "Unavoidable: the first sight of the road user, also of a driver who does not expect it. Missed: in sight in "
-        "time, and no box. Seen, tracked, braked late: the first box, the track, full braking. Told wrongly: drove for "
-        "a road user that only a helper's false report has. The sentence of each crash is in causes.csv."
+        "Unavoidable: the road user came into sight later. Missed: in sight in time, and no box. Seen, tracked, braked "
+        "late: the first box, the track, full braking came later. Braked too little: full braking was asked for in "
+        "time, and was given up or did not act. Told wrongly: drove for a road user that only a helper's false report "
+        "has. The sentence of each crash is in causes.csv."
     )
     return _table("reasons", ["perception", "condition", "crashes", *kinds], rows, text, left=2)
 

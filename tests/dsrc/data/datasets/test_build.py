@@ -179,6 +179,10 @@ def test_recordings_are_not_replaced_by_drives_nor_by_a_simulation_that_fails(
     assert tree(tmp_path / "recorded") == before
     with pytest.raises(SettingsError, match=r"world: expected 1, on whose ground .*quick_0 was recorded, found 2"):
         generate_dataset(write(tmp_path, two.replace("seeds = [0]", "seeds = [0]\nworld = 2")), tmp_path / "out")
+    with pytest.raises(SettingsError, match=r"parked_per_km: expected 0, as .*quick_0 was recorded, found 50"):
+        generate_dataset(
+            write(tmp_path, two.replace("seeds = [0]", "seeds = [0]\nparked_per_km = 50.0")), tmp_path / "out"
+        )
     write(tmp_path, two)
     killed = next(path for path in (tmp_path / "recorded").rglob("*.npz")).parent / ".recording-killed"
     killed.mkdir()
