@@ -6,12 +6,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample, inside_range
 from dsrc.models.inputs.batch import with_agents
 from dsrc.ops.grid import GridSpec
 from dsrc.training.recipes import Augmentation
+from sensors.compiled import compiled
+from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY
 from sim.boxes import Boxes
+from sim.collisions import overlapping_pairs
 from sim.geometry import wrap_angle
+
+SHORTEST_M = 2.2
+"""Length below which no vehicle is shrunk."""
+SKIN_M = 0.1
+"""Points this far outside the sides and the top of a box are the vehicle's too: ranges have errors."""
+
+Clouds = tuple[NDArray[np.float32], ...]
 
 
 def source_grid(grid: GridSpec, augmentation: Augmentation) -> GridSpec:
@@ -61,8 +72,12 @@ class Change:
 
 
 def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.random.Generator) -> Sample:
-    """Drop collaborators, flip, rotate, scale and lift a sample, crop it to the grid, and thin it."""
+    """Resize vehicles, rescale intensities, drop agents, flip, rotate, scale, lift, crop to the grid, and thin."""
     change = draw(len(sample.clouds), augmentation, rng)
+    # Of streams of their own, after that of the lift: all other draws stay as they are.
+    of_sizes, of_intensities = rng.spawn(2)
+    sample = resized(sample, grid.range_m[5], augmentation.sizes, of_sizes)
+    sample = rescaled(sample, augmentation.intensity, of_intensities)
     moved = changed(sample, grid, change)
     return thinned(moved, rng) if change.thin else moved
 
@@ -119,6 +134,147 @@ def thinned(sample: Sample, rng: np.random.Generator) -> Sample:
 def draw_shares(agents: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Draw the share of each agent's points that thinning keeps."""
     return rng.uniform(0.1, 1.0, agents)
+
+
+def resized(sample: Sample, ceiling_m: float, sizes: float, rng: np.random.Generator) -> Sample:
+    """Resize the vehicles of a sample about the centre of their bottom, with the points on them.
+
+    A vehicle has one new size in all clouds and boxes of the sample. One keeps its size if it would grow into another
+    road user or through the ceiling, or if its id is not its own. What another size would hide or show stays.
+
+    Source: random object scaling of J. Yang et al., ST3D, CVPR 2021; there the three factors are independent.
+
+    Args:
+        sample: its agents' boxes are among its boxes.
+        ceiling_m: height above which boxes leave the ground truth.
+        sizes: see `Augmentation`.
+    """
+    if sizes == 0:
+        return sample
+    factors = _factors(sample.boxes, ceiling_m, sizes, rng)
+    boxes = _resized_boxes(sample.boxes, factors)
+    _, first = np.unique(sample.boxes.object_id, return_index=True)
+    ids = sample.boxes.object_id[first]
+
+    def of_agent(own: Boxes) -> Boxes:
+        rows = first[np.searchsorted(ids, own.object_id)]
+        return _resized_boxes(own, factors[rows])
+
+    def of_clouds(clouds: Clouds) -> Clouds:
+        return tuple(_resized_cloud(cloud, sample.boxes, factors) for cloud in clouds)
+
+    return replace(
+        sample,
+        clouds=of_clouds(sample.clouds),
+        other_clouds=of_clouds(sample.other_clouds),
+        corrupted=of_clouds(sample.corrupted),
+        boxes=boxes,
+        agent_boxes=tuple(of_agent(own) for own in sample.agent_boxes),
+    )
+
+
+def _factors(boxes: Boxes, ceiling_m: float, sizes: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw (N, 3) factors of length, width and height; 1 for what keeps its size."""
+    least = np.minimum(1.0, SHORTEST_M / boxes.size[:, 0])
+    common = np.maximum(rng.uniform(1 - sizes, 1 + 0.5 * sizes, len(boxes)), least)
+    length = np.maximum(common * rng.uniform(1 - 0.25 * sizes, 1 + 0.25 * sizes, len(boxes)), least)
+    _, place, count = np.unique(boxes.object_id, return_inverse=True, return_counts=True)
+    chosen = boxes.is_vehicle & (count[place] == 1)
+    factors = np.where(chosen[:, None], np.stack([length, common, common], axis=1), 1.0)
+    grows = np.any(factors > 1, axis=1)
+    # Of each pair the larger of both sizes, so that it does not matter which of the two keeps its own.
+    largest = _resized_boxes(boxes, np.maximum(factors, 1.0))
+    hindered = largest.center[:, 2] + 0.5 * largest.size[:, 2] > ceiling_m
+    hindered[overlapping_pairs(largest).ravel()] = True
+    factors[grows & hindered] = 1.0
+    return factors
+
+
+def _resized_boxes(boxes: Boxes, factors: NDArray[np.float64]) -> Boxes:
+    """Resize boxes; their bottoms stay."""
+    center = boxes.center.copy()
+    center[:, 2] += 0.5 * boxes.size[:, 2] * (factors[:, 2] - 1)
+    return replace(boxes, center=center, size=boxes.size * factors)
+
+
+def _resized_cloud(cloud: NDArray[np.float32], boxes: Boxes, factors: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Move the points on boxes to where they are on the resized ones; the ground below and all other points stay."""
+    moved = cloud.copy()
+    rows, owners = points_in_boxes(boxes, cloud, margin=SKIN_M)
+    turn = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
+    _move(moved, rows, owners, boxes.center, 0.5 * boxes.size, turn, factors)
+    return moved
+
+
+@compiled()
+def _move(
+    points: NDArray[np.float32],
+    rows: NDArray[np.intp],
+    owners: NDArray[np.intp],
+    center: NDArray[np.float64],
+    half: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    factors: NDArray[np.float64],
+) -> None:
+    """Move points in place, each with the one of its boxes from whose faces it is least far out.
+
+    Args:
+        points: (P, 4) float32 x, y, z, intensity.
+        rows: (K,) rows of points, ascending.
+        owners: (K,) rows of the boxes around them.
+        center: (N, 3).
+        half: (N, 3) half sizes.
+        turn: (N, 2) cosine and sine of the headings.
+        factors: (N, 3) of length, width and height.
+    """
+    best, least = -1, np.inf
+    for pair in range(len(rows)):
+        row, box = rows[pair], owners[pair]
+        x, y, z = points[row, 0] - center[box, 0], points[row, 1] - center[box, 1], points[row, 2] - center[box, 2]
+        c, s = turn[box, 0], turn[box, 1]
+        along, across = c * x + s * y, c * y - s * x
+        out = max(abs(along) - half[box, 0], abs(across) - half[box, 1], abs(z) - half[box, 2])
+        if out < least:
+            best, least = box, out
+            shift_x, shift_y = along * (factors[box, 0] - 1), across * (factors[box, 1] - 1)
+            up = z + half[box, 2]
+        if pair + 1 < len(rows) and rows[pair + 1] == row:
+            continue
+        if up >= 0:
+            c, s = turn[best, 0], turn[best, 1]
+            points[row, 0] += c * shift_x - s * shift_y
+            points[row, 1] += s * shift_x + c * shift_y
+            points[row, 2] += up * (factors[best, 2] - 1)
+        best, least = -1, np.inf
+
+
+def rescaled(sample: Sample, intensity: float, rng: np.random.Generator) -> Sample:
+    """Rescale the intensities of a sample with a probability, see `Augmentation`; a student's as its teacher's."""
+    agents = len(sample.clouds) + len(sample.other_clouds)
+    chance = rng.random()
+    gain, exponent = np.exp2(rng.uniform(-2, 2, agents)), rng.uniform(0.6, 1.6, agents)
+    # Readers put 0 or `DEFAULT_REFLECTIVITY` where a sensor measures none.
+    constant = rng.uniform(0, 2 * DEFAULT_REFLECTIVITY)
+    if chance >= intensity:
+        return sample
+    unknown = chance < 0.5 * intensity
+
+    def of_cloud(cloud: NDArray[np.float32], agent: int) -> NDArray[np.float32]:
+        scaled = cloud.copy()
+        if unknown:
+            scaled[:, 3] = constant
+        else:
+            powers = np.maximum(cloud[:, 3], np.float32(0)) ** np.float32(exponent[agent])
+            scaled[:, 3] = np.minimum(np.float32(gain[agent]) * powers, np.float32(1))
+        return scaled
+
+    others = range(len(sample.clouds), agents)
+    return replace(
+        sample,
+        clouds=tuple(map(of_cloud, sample.clouds, range(agents))),
+        other_clouds=tuple(map(of_cloud, sample.other_clouds, others)),
+        corrupted=tuple(map(of_cloud, sample.corrupted, range(agents))),
+    )
 
 
 def with_some(sample: Sample, rows: Sequence[int]) -> Sample:

@@ -29,6 +29,13 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         rotation_deg: largest rotation about the vertical axis, degrees.
         scale: largest relative change of size in the plane.
         height_m: largest shift along the vertical axis, m, as if the ego's LiDAR stood higher or lower.
+        sizes: largest relative change of the size of each vehicle, half of it upwards: the factor of a vehicle is drawn
+            from 1 - sizes to 1 + sizes / 2, with up to a quarter of `sizes` more or less for the length. No vehicle
+            shrinks below a length of 2.2 m, and none grows into another. Its points move with it; people and
+            two-wheelers keep their sizes. Source: random object scaling of J. Yang et al., ST3D, CVPR 2021.
+        intensity: probability that a sample has intensities as of sensors of other makers: in half of these samples
+            each agent's are raised to a power from 0.6 to 1.6 and multiplied by 1/4 to 4, at most 1; in the other half
+            all are one value from 0 to 0.4, as of sensors without intensities, for which readers put 0 or 0.2.
         random_ego: any of the frame's vehicles is the ego, not always the first.
         dropout: probability that only some agents (one to all, evenly) take part, with the ground truth that these have
             seen. One network so learns to detect alone and with collaborators.
@@ -46,6 +53,8 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotation_deg: Annotated[float, Meta(ge=0, le=180)] = 15.0
     scale: Annotated[float, Meta(ge=0, le=0.5)] = 0.05
     height_m: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    sizes: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
+    intensity: Annotated[float, Meta(ge=0, le=1)] = 0.0
     random_ego: bool = True
     dropout: Annotated[float, Meta(ge=0, le=1)] = 0.3
     alone: Annotated[float, Meta(ge=0, le=1)] = 0.0

@@ -28,6 +28,8 @@ def reason_for_host(recipe: Recipe, settings: ModelSettings) -> str | None:
     """Return which setting of a recipe needs points on the host; None for none."""
     reasons = {
         "augmentation.corruption": recipe.augmentation.corruption > 0,
+        "augmentation.sizes": recipe.augmentation.sizes > 0,
+        "augmentation.intensity": recipe.augmentation.intensity > 0,
         "labels.inside": recipe.labels.inside == "hull",
         "labels.targets": recipe.labels.targets == "released",
         "fusion": settings.fusion == "late",

@@ -217,6 +217,8 @@ def test_a_step_takes_place_on_a_device_that_has_no_numbers(data: Path, monkeypa
     [
         ({}, None),
         ({"augmentation": Augmentation(corruption=0.1)}, "augmentation.corruption"),
+        ({"augmentation": Augmentation(sizes=0.1)}, "augmentation.sizes"),
+        ({"augmentation": Augmentation(intensity=0.1)}, "augmentation.intensity"),
         ({"labels": released_labels()}, "labels.inside"),
     ],
 )
