@@ -1,7 +1,8 @@
 """Overlay of an exported page: title, legend, counts of the playing frame, camera buttons.
 
-viser leaves its panels out of exported pages, so these are plain HTML. They read the time from the slider of the
-player; where a later viser has none, the counts of the first frame stay.
+viser leaves its panels out of exported pages, so these are plain HTML. They say what is drawn, not what the player's
+slider stands at: each frame moves a node of the scene to its number, and they read it there. Where a later viser has no
+such place, the counts of the first frame stay.
 """
 
 import json
@@ -13,6 +14,9 @@ from dsrc.review.page.cameras import CameraPose
 from dsrc.review.palette import Rgb, css
 from dsrc.review.texts import box_legend, fate_legend, scale_bar
 from dsrc.review.view import OTHER_TRUTH, FrameView
+
+SHOWN = "/shown"
+"""Node of the scene whose x, m, is the number of the drawn frame, from 1: a player that goes back sets it to 0."""
 
 _CSS = """
 #review{position:fixed;z-index:5;left:16px;top:14px;max-width:min(330px,80vw);padding:14px 16px 12px;
@@ -37,9 +41,8 @@ _JS = """
 (()=>{const d=window.__REVIEW__,$=i=>document.getElementById(i);let last=-1;
 const show=k=>{if(k===last)return;last=k;const f=d.frames[k];
  for(const n in f){const e=$('review-'+n);if(e)e.textContent=f[n];}};
-const tick=()=>{const s=document.querySelector('[role=slider]');
- const t=s?parseFloat(s.getAttribute('aria-valuenow')):NaN;
- if(Number.isFinite(t))show(Math.max(0,Math.min(d.frames.length-1,Math.floor(t/d.interval+1e-3))));};
+const tick=()=>{const m=window.__viserMutable,p=m&&m.nodePoseData['__SHOWN__'],k=p?Math.round(p.position[0])-1:-1;
+ if(d.frames[k])show(k);};
 show(0);setInterval(tick,50);
 const turn=([w,x,y,z],[a,b,c])=>{const u=2*(y*c-z*b),v=2*(z*a-x*c),t=2*(x*b-y*a);
  return[a+w*u+y*t-z*v,b+w*v+z*u-x*t,c+w*t+x*v-y*u];};
@@ -50,7 +53,7 @@ for(const b of document.querySelectorAll('#review button'))b.onclick=()=>{
 window.addEventListener('keydown',e=>{const b=document.querySelector('#review button[data-key="'+e.key+'"]');
  if(b&&!/INPUT|TEXTAREA/.test(document.activeElement.tagName))b.click();});
 })();
-"""
+""".replace("__SHOWN__", SHOWN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +65,10 @@ class CameraButton:
     pose: CameraPose
 
 
-def frame_texts(view: FrameView) -> dict[str, str]:
+def frame_texts(view: FrameView, subtitle: str) -> dict[str, str]:
     """Texts of the legend that change with the frame, by id."""
-    texts = {"time": f"frame {view.index} · {view.time_s:.1f} s"}
+    texts = {"subtitle": subtitle, "time": f"frame {view.index} · {view.time_s:.1f} s"}
+    texts |= {f"points-{one.agent_id}": f"{one.total // 1000}k points" for one in view.agents if one.total >= 1000}
     other = len(view.layers[OTHER_TRUTH])
     if view.help is not None:
         found, made = (sum(map(len, boxes)) for boxes in (view.help.found, view.help.made))
@@ -80,27 +84,25 @@ def frame_texts(view: FrameView) -> dict[str, str]:
     return texts | {name: "–" if value is None else f"{value:.2f}" for name, value in share}
 
 
-def add_overlay(
-    html: str, title: str, subtitle: str, views: list[dict[str, str]], first: FrameView, interval_s: float,
-    cameras: list[CameraButton],
-) -> str:  # fmt: skip
+def add_overlay(html: str, texts: list[dict[str, str]], views: list[FrameView], cameras: list[CameraButton]) -> str:
     """Put the overlay into an exported page.
 
     Args:
-        views: `frame_texts` of every frame.
-        first: the first frame, for the agents and their colours.
+        texts: `frame_texts` of every frame.
+        views: all frames: a row for every agent and every kind of box of any of them.
     """
+    first, names = views[0], dict.fromkeys((name for one in texts for name in one), "")
+    title, rows = first.drive, {agent.agent_id: agent for view in views for agent in view.agents}
     data = {
-        "frames": views,
-        "interval": interval_s,
+        "frames": [names | one for one in texts],
         "cameras": {camera.name: [*camera.pose.position.tolist(), *camera.pose.look_at.tolist()] for camera in cameras},
     }
     # `</` in a drive's name would end the script element.
     packed = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
     agents = "".join(
         _row(agent.rgb, "", escape(f"{agent.title}{' · ego' if agent.is_ego else ''}"),
-             f"<small>{agent.total // 1000}k points</small>" if agent.total >= 1000 else "")
-        for agent in first.agents
+             f'<small id="review-points-{agent.agent_id}"></small>')
+        for agent in rows.values()
     )  # fmt: skip
     if bar := scale_bar(first.color_by):
         agents += f'<li style="display:block;margin-top:6px">{bar}</li>'
@@ -108,16 +110,15 @@ def add_overlay(
         agents += "</ul><ul>" + "".join(_row(rgb, "", text, "") for rgb, text in fates)
     boxes = "".join(
         _row(rgb, "box dash" if text.endswith("dashed") else "box", text, f'<b id="review-{name}"></b>')
-        for rgb, text, name in box_legend(first)
+        for rgb, text, name in dict.fromkeys(row for view in views for row in box_legend(view))
         if name
     )
-    if first.counts is not None and first.help is None and first.labelled:
-        boxes += "".join(f'<li>{name}<b id="review-{name}"></b></li>' for name in ("precision", "recall"))
+    boxes += "".join(f'<li>{name}<b id="review-{name}"></b></li>' for name in ("precision", "recall") if name in names)
     buttons = "".join(
         f'<button data-camera="{c.name}" data-key="{c.key}" title="key {c.key}">{c.name}</button>' for c in cameras
     )
     body = (
-        f'<style>{_CSS}</style><div id="review"><h1>{escape(title)}</h1><p>{escape(subtitle)}</p>'
+        f'<style>{_CSS}</style><div id="review"><h1>{escape(title)}</h1><p id="review-subtitle"></p>'
         f'<p id="review-time"></p><ul>{agents}</ul><ul>{boxes}</ul><nav>{buttons}</nav></div>'
         f"<script>window.__REVIEW__={packed};{_JS}{HONEST_COLORS}</script>"
     )

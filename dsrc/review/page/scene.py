@@ -169,16 +169,19 @@ class SceneWriter:
 
     def clear(self) -> None:
         """Remove every node of the drive."""
-        self._remove("")
+        # Children first: viser warns about a handle whose parent took it away.
+        for name in sorted(self._nodes, key=len, reverse=True):
+            self._nodes[name].remove()
+        for kept in (self._nodes, self._drawn, self._clickable):
+            kept.clear()
 
     def write(self, view: FrameView) -> None:
         """Draw a frame; the caller groups it with `atomic()`."""
-        drawn = {_agent_node(agent) for agent in view.agents}
-        for name in [name for name in self._nodes if name.count("/") == 1 and name.startswith("agents/")]:
-            if name not in drawn:
-                self._remove(name)
         for agent in view.agents:
             self._write_agent(agent, view)
+        drawn = {_agent_node(agent) for agent in view.agents}
+        for name in [name for name in self._nodes if name.count("/") == 1 and name.startswith("agents/")]:
+            self._nodes[name].visible = name in drawn
         self._write_bodies(view)
         for name in LAYERS:
             off = name.split("/")[0] in view.layers_off
@@ -403,15 +406,6 @@ class SceneWriter:
         if name not in self._nodes:
             self._nodes[name] = self.scene.add_frame(f"{self.root}/{name}", show_axes=False)
         return self._nodes[name]
-
-    def _remove(self, name: str) -> None:
-        """Remove a node and everything below it; "" removes all."""
-        below = [key for key in self._nodes if not name or key == name or key.startswith(f"{name}/")]
-        # Children first: viser warns about a handle whose parent took it away.
-        for key in sorted(below, key=len, reverse=True):
-            self._drawn.pop(key, None)
-            self._clickable.pop(key, None)
-            self._nodes.pop(key).remove()
 
 
 def _agent_node(agent: AgentView) -> str:

@@ -20,7 +20,7 @@ from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cameras import birds_eye, chase, overview
 from dsrc.review.page.link import read_link
 from dsrc.review.page.output.screenshot import PATIENCE_S, open_page
-from dsrc.review.page.overlay import CameraButton, add_overlay, frame_texts
+from dsrc.review.page.overlay import SHOWN, CameraButton, add_overlay, frame_texts
 from dsrc.review.page.scene import (
     SceneWriter,
     backdrop,
@@ -51,6 +51,8 @@ POINT_SIZE_M = 0.13
 """Side of a drawn point, m: thinned clouds need larger ones."""
 POINT_STEP_M = 1.0 / 32.0
 """Rounding of points, m: the resolution of float16 beyond 32 m; saves a quarter of the page."""
+# viser sends no pose that is zero, and a page that goes back to its start would keep the last one.
+_NEARLY_ZERO = np.array([0.0, 0.0, 1e-6])
 # Two frames of the browser's own.
 _DRAWN = "new Promise(done=>requestAnimationFrame(()=>requestAnimationFrame(()=>done(true))))"
 
@@ -205,27 +207,29 @@ def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewSt
     set_theme(server.scene, states[0].theme)
     writer = SceneWriter(server.scene, ROOT, POINT_STEP_M)
     writer.theme = states[0].theme
-    # Not quite zero: viser sends no pose that is zero, and a page that goes back to its start would keep the last one.
-    root = server.scene.add_frame(ROOT, show_axes=False, position=(0.0, 0.0, 1e-6))
-    first = model.view(states[0])
+    root = server.scene.add_frame(ROOT, show_axes=False, position=_NEARLY_ZERO)
+    views = [model.view(state) for state in states]
+    first = views[0]
     set_start_camera(server, overview(first))
-    writer.write(first)
+    shown = server.scene.add_frame(SHOWN, show_axes=False, position=(1.0, 0.0, 0.0))
+    # Every node of any frame is there from the start: what only a later frame brings would stay when one goes back.
+    for view in (*views, first):
+        writer.write(view)
     place_static(server.scene, ROOT, _world(model, drive))
-    texts = [frame_texts(first)]
     serializer = server.get_scene_serializer()
-    for state in states[1:]:
+    # The player's end is its beginning: it goes from there to the first time without drawing the first frame.
+    for number, view in [*enumerate(views[1:], start=2), (1, first)]:
         serializer.insert_sleep(interval_s)
-        view = model.view(state)
+        shown.position = (float(number), 0.0, 0.0)
         if follow:
             # The camera of the page is fixed: the world moves instead.
-            root.position = first.ego.review_from_body[:3, 3] - view.ego.review_from_body[:3, 3]
+            root.position = first.ego.review_from_body[:3, 3] - view.ego.review_from_body[:3, 3] + _NEARLY_ZERO
         writer.write(view)
-        texts.append(frame_texts(view))
-    serializer.insert_sleep(interval_s)
     html = serializer.as_html(dark_mode=True)
     poses = [("overview", "1", overview), ("chase", "2", chase), ("bird's eye", "3", birds_eye)]
     cameras = [CameraButton(name, key, make(first)) for name, key, make in poses]
-    return add_overlay(html, first.drive, _subtitle(model, states[0]), texts, first, interval_s, cameras)
+    texts = [frame_texts(view, _subtitle(model, state)) for view, state in zip(views, states, strict=True)]
+    return add_overlay(html, texts, views, cameras)
 
 
 def _world(model: ReviewModel, drive: int) -> list[StaticPart]:

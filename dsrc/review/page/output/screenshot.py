@@ -40,10 +40,8 @@ document.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root
 _READY = "document.querySelector('canvas') && (!window.__VISER_EMBED_DATA__ || document.querySelector('[role=slider]'))"
 STOP = """
 (()=>{const slider=document.querySelector('[role=slider]');
-if(!window.__VISER_EMBED_DATA__||!slider)return;
-window.dispatchEvent(new KeyboardEvent('keydown',{code:'Space',key:' '}));
-for(const key of ['End','Home'])
- slider.dispatchEvent(new KeyboardEvent('keydown',{key,bubbles:true,cancelable:true}));})()
+if(window.__VISER_EMBED_DATA__&&slider)
+ slider.dispatchEvent(new KeyboardEvent('keydown',{key:'Home',bubbles:true,cancelable:true}));})()
 """
 """Pause the player of an exported page and go back to its first frame."""
 

@@ -105,8 +105,10 @@ def test_an_agent_that_leaves_takes_its_points_with_it(server: viser.ViserServer
     view = model.view(ReviewState())
     writer.write(view)
     writer.write(replace(view, agents=view.agents[:2]))
-    assert node(server, "/agents/roadside_unit_1/lidar/points") is None
-    assert node(server, "/agents/vehicle_1002/lidar/points") is not None
+    assert node(server, "/agents/roadside_unit_1").visible is False
+    assert node(server, "/agents/vehicle_1002").visible is True
+    writer.write(view)
+    assert node(server, "/agents/roadside_unit_1").visible is True
 
 
 def test_without_labels_nothing_is_judged(
