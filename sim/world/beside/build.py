@@ -37,6 +37,13 @@ _SIGHT_M, _LOW_M = 12.0, (0.6, 0.85)
 _FRONT_M, _FRONT_REACH_M, _LEAST_FRONT_M = 1.05, 30.0, 1.5
 """Distance of the middle of a boundary from the paved ground, that of the farthest street and shortest front, m."""
 
+_BEHIND_BAY_M, _TALL_M = (0.15, 0.8), (1.5, 3.0)
+"""Free ground between parking bays and what is planted or built right behind them, and how high that is, m."""
+_PLANTED_BAYS, _TREE_EVERY_M, _OVER_BAY_M = 0.75, (5.0, 10.0), (1.5, 2.7)
+"""Share of the bays with a row of trees behind them, distance between these, and where crowns begin above parked cars, m.
+
+Cities plant a tree for every two to four bays; young ones are not pruned over them."""
+
 _OVER_ROAD_M, _OVER_WALK_M = 4.8, 2.6
 _VARIANTS = 4
 _TRUNK_M = 0.35
@@ -104,8 +111,9 @@ def beside(site: Site, seed: int, density: float = 1.0) -> list[MeshPart]:
         return random_generator(seed, Stream.BESIDE, purpose)
 
     things += _map_barriers(rng("map barriers"), site.map_objects, ground)
-    things += _boundaries(rng("boundaries"), edges, density, ground) + _kerbs(rng("kerbs"), edges, density, ground)
     nursery = _Nursery(rng("species"))
+    things += _behind_bays(rng("bays"), edges, density, nursery, ground)
+    things += _boundaries(rng("boundaries"), edges, density, ground) + _kerbs(rng("kerbs"), edges, density, ground)
     things += _map_trees(rng("map trees"), site.map_objects, edges, nursery, ground)
     if "tree" not in site.map_objects.points:
         things += _rows(rng("rows"), edges, density, nursery, ground) + _trees(
@@ -196,6 +204,68 @@ def _kerbs(rng: np.random.Generator, edges: list[Edge], density: float, ground: 
     return parts
 
 
+def _behind_bays(
+    rng: np.random.Generator, edges: list[Edge], density: float, nursery: "_Nursery", ground: Ground
+) -> list[MeshPart]:
+    """Return hedges, shrubs, walls, fences and trees right behind parking bays: parked cars stand close to tall things.
+
+    Crowns hang over the bays, and not over the carriageway.
+    """
+    bays = [part for part in shapely.get_parts(ground.streets.bays & ground.frame) if part.area > 1.0]
+    if not bays or not edges:
+        return []
+    shapes, sight = _shrub_shapes(rng), yielding(ground.streets)
+    carriageway = ground.road - ground.streets.bays.buffer(0.01)
+    for shape in (sight, carriageway):
+        shapely.prepare(shape)
+    lines = shapely.STRtree([edge.line for edge in edges])
+    parts: list[MeshPart] = []
+    for bay in bays:
+        shares = edges[int(lines.nearest(bay.centroid))].density
+        away = float(rng.uniform(*_BEHIND_BAY_M)) + 0.5
+        near = ground.road & bay.buffer(2.0 * away)
+        behind = bay.buffer(away, join_style="mitre").boundary - near.buffer(away - 0.05, join_style="mitre")
+        pieces = shapely.get_parts(shapely.line_merge(behind) if behind.geom_type[0] == "M" else behind)
+        if shares.bay and rng.uniform() < _PLANTED_BAYS:
+            for line in pieces:
+                parts += _avenue(rng, line, shares.species, carriageway, nursery, ground)
+        for line in pieces:
+            for piece in _plots(rng, line):
+                kind = _drawn(rng, shares.bay, density)
+                if kind is not None:
+                    parts += _boundary(rng, kind, piece, sight, shapes, ground, at_kerb=True, height_m=_TALL_M)
+    return parts
+
+
+def _avenue(
+    rng: np.random.Generator,
+    line: shapely.LineString,
+    species: tuple[str, ...],
+    carriageway: shapely.Geometry,
+    nursery: "_Nursery",
+    ground: Ground,
+) -> list[MeshPart]:
+    """Return a row of young trees along a line, with their crowns above parked cars."""
+    every = float(rng.uniform(*_TREE_EVERY_M))
+    along = np.arange(float(rng.uniform(0.5, every)), line.length - 0.5, every)
+    xy = shapely.get_coordinates(shapely.line_interpolate_point(line, along + rng.uniform(-0.5, 0.5, len(along))))
+    parts = []
+    for place in xy[ground.is_fine(xy) & ground.free(xy, 0.1, at_kerb=True, tall=True)] if len(xy) else xy:
+        whole = nursery.choose(rng, species, True)
+        yaw, size, tall = float(rng.uniform(0.0, 2.0 * np.pi)), float(rng.uniform(0.5, 0.9)), float(rng.uniform(0.5, 1.0))
+        foot, point = float(rng.uniform(*_OVER_BAY_M)), shapely.Point(place)
+        if shapely.dwithin(carriageway, point, size * whole.reach_m + 0.3):
+            foot = _OVER_ROAD_M
+        grown = pruned(replace(whole, part=_scaled(whole.part, tall), foot_m=tall * whole.foot_m), foot)
+        if not shapely.dwithin(ground.houses, point, size * whole.reach_m + 0.1) and ground.take(place, 0.5):
+            parts.append(move(grown.part, _foot(ground, place), yaw, [size, size, 1.0]))
+    return parts
+
+
+def _scaled(part: MeshPart, height: float) -> MeshPart:
+    return move(part, [0.0, 0.0, 0.0], 0.0, [1.0, 1.0, height])
+
+
 def _plots(rng: np.random.Generator, line: shapely.LineString) -> list[shapely.LineString]:
     """Return the fronts of the plots along a line, with gaps for doors and drives between them."""
     found, at = [], 0.0
@@ -223,18 +293,26 @@ def _boundary(
     shapes: list[MeshPart],
     ground: Ground,
     at_kerb: bool = False,
+    height_m: tuple[float, float] | None = None,
 ) -> list[MeshPart]:
-    """Return the boundary of one plot, a low one near `sight`, where drivers look across it."""
+    """Return the boundary of one plot, a low one near `sight`, where drivers look across it.
+
+    Args:
+        at_kerb: on a strip of pavement, and as narrow and low as there.
+        height_m: range of heights of hedges and shrubs; None for the usual one.
+    """
     if kind != "noise" and not ground.is_fine(shapely.get_coordinates(line.centroid))[0]:
         return []
     low = bool(shapely.dwithin(sight, line, _SIGHT_M))
-    height = float(rng.uniform(*HEIGHT_M.get(kind, (1.6, 2.4))))
+    height = float(rng.uniform(*HEIGHT_M.get(kind, height_m or (1.6, 2.4))))
     if low and kind in ("noise", "boards"):
         return []
     height = min(height, float(rng.uniform(*_LOW_M))) if low else height
     width = float(rng.uniform(*_WIDTH_M[kind])) if kind in _WIDTH_M else THICK_M[kind]
     if at_kerb:
-        width, height = min(width, 0.7), min(height, float(rng.uniform(0.9, 1.6)))
+        width = min(width, 0.7)
+    if at_kerb and height_m is None:
+        height = min(height, float(rng.uniform(0.9, 1.6)))
     half = 0.5 * width + (HEDGE_TIPS_M if kind == "hedge" else 0.0)
     parts: list[MeshPart] = []
     for piece in ground.take_line(line, half, at_kerb=at_kerb, tall=height > 2.2):

@@ -28,6 +28,7 @@ class Density:
         boundary: share of the edge by what bounds the plots: "hedge", "shrubs" or a kind of `fences.HEIGHT_M`; the rest
             is open.
         kerb: the same along the kerb, where the pavement is wide enough.
+        bay: the same right behind parking bays.
         trees: trees behind the boundary, per 100 m.
         row: trees along the kerb, where a verge gives room, per 100 m.
         shrubs: single shrubs, per 100 m.
@@ -38,6 +39,7 @@ class Density:
 
     boundary: dict[str, float]
     kerb: dict[str, float]
+    bay: dict[str, float]
     trees: float
     row: float
     shrubs: float
@@ -50,6 +52,7 @@ DENSITIES: dict[Kind, Density] = {
     "town": Density(
         boundary={"hedge": 0.52, "shrubs": 0.18, "wall": 0.14, "railing": 0.03, "picket": 0.03, "boards": 0.08},
         kerb={"hedge": 0.30, "shrubs": 0.18, "railing": 0.10},
+        bay={"hedge": 0.28, "shrubs": 0.26, "wall": 0.12, "boards": 0.05},
         trees=5.0,
         row=4.0,
         shrubs=16.0,
@@ -70,6 +73,7 @@ DENSITIES: dict[Kind, Density] = {
     "suburb": Density(
         boundary={"hedge": 0.50, "shrubs": 0.22, "picket": 0.06, "mesh": 0.02, "wall": 0.08, "boards": 0.08},
         kerb={"hedge": 0.28, "shrubs": 0.22},
+        bay={"hedge": 0.30, "shrubs": 0.30, "wall": 0.06, "boards": 0.06},
         trees=7.0,
         row=4.0,
         shrubs=20.0,
@@ -88,6 +92,7 @@ DENSITIES: dict[Kind, Density] = {
     "rural": Density(
         boundary={"shrubs": 0.64, "hedge": 0.20, "mesh": 0.06},
         kerb={"shrubs": 0.20},
+        bay={"hedge": 0.20, "shrubs": 0.40},
         trees=9.0,
         row=3.0,
         shrubs=30.0,
@@ -98,6 +103,7 @@ DENSITIES: dict[Kind, Density] = {
     "motorway": Density(
         boundary={"shrubs": 0.60, "noise": 0.25, "mesh": 0.04},
         kerb={},
+        bay={},
         trees=9.0,
         row=0.0,
         shrubs=36.0,
