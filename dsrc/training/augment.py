@@ -10,6 +10,7 @@ from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample, inside_range
 from dsrc.models.inputs.batch import with_agents
 from dsrc.ops.grid import GridSpec
+from dsrc.training.crowding import crowded
 from dsrc.training.recipes import Augmentation
 from sensors.compiled import compiled
 from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY
@@ -72,10 +73,13 @@ class Change:
 
 
 def augment(sample: Sample, grid: GridSpec, augmentation: Augmentation, rng: np.random.Generator) -> Sample:
-    """Resize vehicles, rescale intensities, drop agents, flip, rotate, scale, lift, crop to the grid, and thin."""
+    """Crowd and resize vehicles, rescale intensities, drop agents, flip, rotate, scale, lift, crop, and thin."""
     change = draw(len(sample.clouds), augmentation, rng)
     # Of streams of their own, after that of the lift: all other draws stay as they are.
-    of_sizes, of_intensities = rng.spawn(2)
+    of_sizes, of_intensities, of_crowding = rng.spawn(3)
+    if augmentation.crowding and change.agents == (0,):
+        sample, change = with_some(sample, (0,)), replace(change, agents=None)
+    sample = crowded(sample, augmentation.crowding, of_crowding)
     sample = resized(sample, grid.range_m[5], augmentation.sizes, of_sizes)
     sample = rescaled(sample, augmentation.intensity, of_intensities)
     moved = changed(sample, grid, change)

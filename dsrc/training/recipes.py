@@ -33,6 +33,8 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             from 1 - sizes to 1 + sizes / 2, with up to a quarter of `sizes` more or less for the length. No vehicle
             shrinks below a length of 2.2 m, and none grows into another. Its points move with it; people and
             two-wheelers keep their sizes. Source: random object scaling of J. Yang et al., ST3D, CVPR 2021.
+        crowding: probability that a vehicle is put a second time, right beside what stands, in samples of which the ego
+            takes part alone; needs heights above the ground. See `dsrc.training.crowding`.
         intensity: probability that a sample has intensities as of sensors of other makers: in half of these samples
             each agent's are raised to a power from 0.6 to 1.6 and multiplied by 1/4 to 4, at most 1; in the other half
             all are one value from 0 to 0.4, as of sensors without intensities, for which readers put 0 or 0.2.
@@ -54,6 +56,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scale: Annotated[float, Meta(ge=0, le=0.5)] = 0.05
     height_m: Annotated[float, Meta(ge=0, le=1)] = 0.0
     sizes: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
+    crowding: Annotated[float, Meta(ge=0, le=1)] = 0.0
     intensity: Annotated[float, Meta(ge=0, le=1)] = 0.0
     random_ego: bool = True
     dropout: Annotated[float, Meta(ge=0, le=1)] = 0.3
@@ -145,6 +148,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.labels.targets == "released" and self.model.users != "vehicles":
             # The released rules know one class: either anchor may have every box.
             raise ValueError(f"labels.targets: expected overlap with users={self.model.users}, found released")
+        if self.augmentation.crowding and self.model.height != "ground":
+            raise ValueError(f"augmentation.crowding: expected 0 with height={self.model.height}, found above 0")
 
     def settings(self, stage: Stage) -> ModelSettings:
         """Return the settings of a stage's network."""

@@ -29,6 +29,7 @@ def reason_for_host(recipe: Recipe, settings: ModelSettings) -> str | None:
     reasons = {
         "augmentation.corruption": recipe.augmentation.corruption > 0,
         "augmentation.sizes": recipe.augmentation.sizes > 0,
+        "augmentation.crowding": recipe.augmentation.crowding > 0,
         "augmentation.intensity": recipe.augmentation.intensity > 0,
         "labels.inside": recipe.labels.inside == "hull",
         "labels.targets": recipe.labels.targets == "released",

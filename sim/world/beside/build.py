@@ -40,7 +40,7 @@ _FRONT_M, _FRONT_REACH_M, _LEAST_FRONT_M = 1.05, 30.0, 1.5
 _BEHIND_BAY_M, _TALL_M = (0.15, 0.8), (1.5, 3.0)
 """Free ground between parking bays and what is planted or built right behind them, and how high that is, m."""
 _PLANTED_BAYS, _TREE_EVERY_M, _OVER_BAY_M = 0.75, (5.0, 10.0), (1.5, 2.7)
-"""Share of the bays with a row of trees behind them, distance between these, and where crowns begin above parked cars, m.
+"""Share of the bays with a row of trees behind them, distance between these, m, and height where their crowns begin, m.
 
 Cities plant a tree for every two to four bays; young ones are not pruned over them."""
 
@@ -252,18 +252,19 @@ def _avenue(
     parts = []
     for place in xy[ground.is_fine(xy) & ground.free(xy, 0.1, at_kerb=True, tall=True)] if len(xy) else xy:
         whole = nursery.choose(rng, species, True)
-        yaw, size, tall = float(rng.uniform(0.0, 2.0 * np.pi)), float(rng.uniform(0.5, 0.9)), float(rng.uniform(0.5, 1.0))
+        yaw, size, tall = (
+            float(rng.uniform(0.0, 2.0 * np.pi)),
+            float(rng.uniform(0.5, 0.9)),
+            float(rng.uniform(0.5, 1.0)),
+        )
         foot, point = float(rng.uniform(*_OVER_BAY_M)), shapely.Point(place)
         if shapely.dwithin(carriageway, point, size * whole.reach_m + 0.3):
             foot = _OVER_ROAD_M
-        grown = pruned(replace(whole, part=_scaled(whole.part, tall), foot_m=tall * whole.foot_m), foot)
+        young = replace(whole, part=move(whole.part, scale=[1.0, 1.0, tall]), foot_m=tall * whole.foot_m)
+        grown = pruned(young, foot)
         if not shapely.dwithin(ground.houses, point, size * whole.reach_m + 0.1) and ground.take(place, 0.5):
             parts.append(move(grown.part, _foot(ground, place), yaw, [size, size, 1.0]))
     return parts
-
-
-def _scaled(part: MeshPart, height: float) -> MeshPart:
-    return move(part, [0.0, 0.0, 0.0], 0.0, [1.0, 1.0, height])
 
 
 def _plots(rng: np.random.Generator, line: shapely.LineString) -> list[shapely.LineString]:
