@@ -226,7 +226,7 @@ def _behind_bays(
         near = ground.road & bay.buffer(2.0 * away)
         behind = bay.buffer(away, join_style="mitre").boundary - near.buffer(away - 0.05, join_style="mitre")
         pieces = shapely.get_parts(shapely.line_merge(behind) if behind.geom_type[0] == "M" else behind)
-        if shares.bay and rng.uniform() < _PLANTED_BAYS:
+        if shares.bay and rng.uniform() < density * _PLANTED_BAYS:
             for line in pieces:
                 parts += _avenue(rng, line, shares.species, carriageway, nursery, ground)
         for line in pieces:
