@@ -70,17 +70,17 @@ class Run:
         drawn = BATCH * max(round(self.steps * share), 1)
         frames = min(FRAMES, drawn)
         size = (f"epochs={max(drawn // frames, 1)}", f"epoch_frames={frames}", f"learning_rate={self.rate}")
-        alone = "augmentation.alone=1" if self.method in ALONE else "augmentation.alone=0.2"
+        alone = "augmentation.alone=1" if self.method in ALONE else "augmentation.alone=0.4"
         machine = (alone, f"workers={workers}", f"bfloat16={str(torch.cuda.is_available()).lower()}")
         return override(of_method(RECIPES["small"](), self.method), (*SETTINGS, *size, *machine))
 
 
 PLAN = (
-    Run("plain-alone", "no-collaboration", "plain", "unparked-plain-alone", 2000, 1.5e-3),
-    Run("plain", "attfuse", "plain", "plain-alone", 750, 5e-4),
+    Run("plain-alone", "no-collaboration", "plain", "unparked-plain-alone", 3000, 1.5e-3),
+    Run("plain", "attfuse", "plain", "plain-alone", 1500, 5e-4),
     Run("teacher", "dsrc", "teacher", "unparked-teacher", 1000, 1.5e-3),
-    Run("dsrc-alone", "dsrc-alone", "student", "unparked-dsrc-alone", 2000, 1.5e-3, "teacher"),
-    Run("dsrc", "dsrc", "student", "dsrc-alone", 750, 5e-4, "teacher"),
+    Run("dsrc-alone", "dsrc-alone", "student", "unparked-dsrc-alone", 3000, 1.5e-3, "teacher"),
+    Run("dsrc", "dsrc", "student", "dsrc-alone", 1500, 5e-4, "teacher"),
 )
 """Runs in their order; a teacher goes before what it teaches. Plain and DSRC have equal steps."""
 
