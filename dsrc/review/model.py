@@ -47,6 +47,7 @@ class ReviewModel(Judgements):
 
     Attributes:
         notes: on the errors, None where they cannot be kept.
+        start: what a page shows without a link.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class ReviewModel(Judgements):
             DataError: the list or a drive is empty.
         """
         super().__init__(sources, detector)
-        self.notes = notes
+        self.notes, self.start = notes, ReviewState()
         self._agents: LatestUsed[tuple[AgentView, ...]] = LatestUsed(_VIEWS_KEPT)
 
     def view(self, state: ReviewState) -> FrameView:

@@ -1,7 +1,7 @@
 """Texts of the live page: counts, card of the selection and legend."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 
 from dsrc.options.review import ColorBy
@@ -178,17 +178,27 @@ def fates_table(view: FrameView) -> str:
     return html_table(("", "points", "added", "moved", "lost"), rows)
 
 
-def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """HTML table whose first column is left-aligned."""
+def html_table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], link: Callable[[int, int], str] = lambda *_: ""
+) -> str:
+    """HTML table whose first column is left-aligned.
 
-    def cells(row: Sequence[str], kind: str) -> str:
-        sides = ["left", *["right"] * (len(row) - 1)]
-        style = "padding:0 .5em 0 0;font-weight:normal;white-space:nowrap;text-align"
-        return "".join(
-            f'<{kind} style="{style}:{side}">{escape(text)}</{kind}>' for side, text in zip(sides, row, strict=True)
-        )
+    Args:
+        link: function from row and column to the address that a click opens, "" for none.
+    """
 
-    lines = [cells(head, "th"), *(cells(row, "td") for row in rows)]
+    def cells(texts: Sequence[str], kind: str, row: int = -1) -> str:
+        style = "max-width:7em;overflow:hidden;text-overflow:ellipsis;padding:0 .5em 0 0;font-weight:normal;"
+        style += "white-space:nowrap;text-align"
+        line = ""
+        for column, text in enumerate(texts):
+            to = escape(link(row, column)) if row >= 0 else ""
+            shown = f'<a href="{to}" style="color:inherit">{escape(text)}</a>' if to else escape(text)
+            side = "right" if column else "left"
+            line += f'<{kind} style="{style}:{side}" title="{escape(text)}">{shown}</{kind}>'
+        return line
+
+    lines = [cells(head, "th"), *(cells(row, "td", number) for number, row in enumerate(rows))]
     style = "margin:0 .7em;font-size:.76em;line-height:1.6"
     return f'<table style="{style}">{"".join(f"<tr>{line}</tr>" for line in lines)}</table>'
 

@@ -126,7 +126,7 @@ class JudgedRun:
             among: (N,) true boxes to count; detections of the others count neither way. None for all.
             asked: (D,) detections whose false positives count. None for all.
         """
-        hit, score, truths = self._ranked(iou, among, asked)
+        hit, score, truths = self.ranked(iou, among, asked)
         kept = score >= threshold
         tp = int(np.count_nonzero(hit & kept))
         return Counts(tp, int(np.count_nonzero(kept)) - tp, truths - tp)
@@ -135,10 +135,10 @@ class JudgedRun:
         self, iou: float, among: NDArray[np.bool_] | None = None, asked: NDArray[np.bool_] | None = None
     ) -> Curve:
         """Precision over recall with the average precision, as `dsrc evaluate` has it; arguments as of `counts`."""
-        return curve_of(*self._ranked(iou, among, asked))
+        return curve_of(*self.ranked(iou, among, asked))
 
-    def _ranked(
-        self, iou: float, among: NDArray[np.bool_] | None, asked: NDArray[np.bool_] | None
+    def ranked(
+        self, iou: float, among: NDArray[np.bool_] | None = None, asked: NDArray[np.bool_] | None = None
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32], int]:
         """Hits and scores of the detections that count, and the number of true boxes that do."""
         matched = self.at(iou).matched

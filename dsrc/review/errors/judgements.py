@@ -24,7 +24,7 @@ DETECTOR = "detector"
 """Name of the set of a detector without one."""
 
 _DETECTIONS_KEPT = 4096
-_RUNS_KEPT = 12
+_RUNS_KEPT = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +88,7 @@ class Judgements(Recordings):
 
     def index(self, state: ReviewState) -> ErrorIndex:
         """Errors of the run under a state, of all its methods, in the frames whose detections are known."""
-        return ErrorIndex([self._run(state.drive, name, self.setup(state)) for name in self._asked(state)])
+        return ErrorIndex([self.run(state.drive, name, self.setup(state)) for name in self._asked(state)])
 
     def changes(self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None) -> ObjectChanges:
         """What changes from one state to another of the same drive: a corruption, a method, cooperation.
@@ -106,9 +106,9 @@ class Judgements(Recordings):
         method = self.method(state)
         if not method:
             raise SettingsError(complaint(self.names[state.drive], "methods", "a set of detections", "none"))
-        return self._run(state.drive, method, self.setup(state))
+        return self.run(state.drive, method, self.setup(state))
 
-    def _run(self, drive: int, method: str, setup: Setup) -> JudgedRun:
+    def run(self, drive: int, method: str, setup: Setup) -> JudgedRun:
         """Judged run of a method, as far as its detections are known."""
         own = self.sources[drive].sets[method]
         if own.recorded:

@@ -52,6 +52,7 @@ class ReviewApp:
     def __init__(self, model: ReviewModel, server: viser.ViserServer, start: ReviewState | None = None) -> None:
         """Serve the page on a running server; `close` ends it."""
         self.model, self.server, self.start = model, server, start or ReviewState()
+        model.start = self.start
         self.url = address(server)
         self.sessions: dict[int, Session] = {}
         self.worker = Worker()

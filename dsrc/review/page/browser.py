@@ -2,7 +2,8 @@
 
 viser tells the server nothing about the address of the page, cannot write it, leaves the focus in a dropdown after a
 choice, maps all colours to paler ones and shows an empty page until something is drawn. The script does these five
-things and goes to the addresses that the server writes; nothing of the page depends on more.
+things and goes to the addresses that the server writes, and to those of links on the page without loading it again;
+nothing of the page depends on more.
 """
 
 import time
@@ -38,19 +39,29 @@ _LINK = """
 Worker.prototype.postMessage=function(d,...rest){
  if(d&&(d.type==='set_server'||d.type==='retry')){
   if(d.server)this.reviewServer=d.server;
+  if(connection!==this){connection=this;this.addEventListener('message',e=>{
+   if(e.data.type==='connected')setTimeout(()=>window.__viserMutable?.sendCamera?.(),100);});}
   if(this.reviewServer)d={type:'set_server',server:this.reviewServer+'/'+location.search};}
  return post.call(this,d,...rest);};
+let connection=null;
+const again=()=>connection&&window.__viserMutable?.sendCamera?connection.postMessage({type:'retry'}):location.reload();
+window.addEventListener('popstate',again);
+document.addEventListener('click',e=>{const a=e.target.closest&&e.target.closest('a[href^="?"]');
+ if(!a||e.button||e.ctrlKey||e.metaKey||e.shiftKey)return;
+ e.preventDefault();show(a.getAttribute('href').slice(1),'pushState');again();},true);
 const own=['fixedDpr','darkMode','showStats','websocket','pair'],store=Storage.prototype.setItem;
+const show=(link,change)=>{const kept=new URLSearchParams(location.search);
+ const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...(link?[link]:[])].join('&');
+ history[change](null,'',text?'?'+text:location.pathname);};
 Storage.prototype.setItem=function(key,value){
  if(key.endsWith('__OPEN_KEY__')){window.top.location.href=value;return;}
  if(!key.endsWith('__LINK_KEY__'))return store.call(this,key,value);
  document.getElementById('review-drawing')?.remove();
- const kept=new URLSearchParams(location.search);
- const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...(value?[value]:[])].join('&');
- history.replaceState(null,'',text?'?'+text:location.pathname);
+ show(value,'replaceState');
  if(window.parent!==window)window.parent.postMessage({review:value||''},location.origin);};
 })();
 """.replace("__LINK_KEY__", LINK_KEY).replace("__OPEN_KEY__", OPEN_KEY)
+# viser sends its camera when it is connected after a loss; with a connection that follows another it has to be asked to.
 # viser's own command writes to the storage, wherever the panels are; the script takes the link out of its way.
 
 _KEYS = """

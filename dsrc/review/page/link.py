@@ -37,11 +37,13 @@ def _rows() -> dict[str, Control]:
 
 
 def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) -> str:
-    """Query of a state and a camera pose; what is as at the start is left out."""
-    parts = []
+    """Query of a state and a camera pose; what is as ever, and so at the start of the page, is left out."""
+    parts, start = [], model.start
+    if state.drive != start.drive:
+        start = replace(start, frame=model.first_row(state.drive))
     for name, control in _rows().items():
         value = getattr(state, control.field)
-        if value != _DEFAULTS[control.field]:
+        if not value == _DEFAULTS[control.field] == getattr(start, control.field):
             parts.append(f"{name}={_text(model, control.field, value)}")
     if pose is not None:
         # Adding zero makes one of the two zeros.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import NoteBook
+from dsrc.review.errors.overview import Overview
 from dsrc.review.errors.report import RunReport
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import CameraPose
@@ -84,6 +85,9 @@ class Page(Protocol):
 
     def report(self, state: ReviewState, patience_s: float = 0.0) -> RunReport:
         """Report of the run under a state, see `Reports.of`."""
+
+    def overview(self, state: ReviewState) -> Overview:
+        """Overview of the run under a state, as far as it is computed."""
 
     def detect_all(self) -> None:
         """Detect in the background, in all frames, what the report of the state lacks."""

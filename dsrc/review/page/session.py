@@ -13,6 +13,7 @@ import viser
 from numpy.typing import NDArray
 
 from dsrc.review.errors.index import ErrorTable
+from dsrc.review.errors.overview import Overview, Overviews
 from dsrc.review.errors.report import Reports, RunReport, place_of, selection_of, to_detect
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.browser import AddressBar
@@ -84,7 +85,9 @@ class Session:
         self.last_corruption = "" if state.corruption == CLEAN else state.corruption
         self.last_parameters = state.parameters
         self.using_model, self.worker, self.notes = using_model, worker, model.notes
-        self._reports = Reports(model)
+        self._reports, self._overviews = Reports(model), Overviews(model)
+        # A link that says what is selected and not from where it is seen looks at it.
+        self._looks = pose is None and (state.object_id is not None or state.detection is not None)
         self.pair: CellPair | None = None
         self._refresh_at, self._busy = 0.0, False
         self._seen_frames = model.frame_count(state.drive)
@@ -178,6 +181,13 @@ class Session:
         """Report of the run under a state, see `Reports.of`."""
         with self.using_model:
             return self._reports.of(state, patience_s)
+
+    def overview(self, state: ReviewState) -> Overview:
+        """Overview of the run under a state, as far as it is computed."""
+        with self.using_model:
+            found = self._overviews.of(state)
+        self._busy |= not found.whole
+        return found
 
     def detect_all(self) -> None:
         """Detect in the background, in all frames, what the report of the state lacks."""
@@ -319,7 +329,7 @@ class Session:
         """Follow a drive that grows, and set the panels again while something goes on, and once after it."""
         if time.monotonic() < self._refresh_at:
             return
-        busy = bool(self.detecting()) or self.model.grows(self.state.drive)
+        was, self._busy = self._busy, bool(self.detecting()) or self.model.grows(self.state.drive)
         if self._seen_frames != (frames := self.model.frame_count(self.state.drive)):
             before, self._seen_frames = self._seen_frames, frames
             with self._changed:
@@ -329,12 +339,9 @@ class Session:
                 self.update(frame=frames - 1 if newest else max(self.state.frame, oldest))
                 # A frame that stays is drawn again, too: its timeline is longer.
                 self._draw_soon()
-        elif busy or self._busy:
+        elif self._busy or was:
             self._show_panels()
-        self._busy, self._refresh_at = (
-            busy,
-            time.monotonic() + (GROW_S if self.model.grows(self.state.drive) else REFRESH_S),
-        )
+        self._refresh_at = time.monotonic() + (GROW_S if self.model.grows(self.state.drive) else REFRESH_S)
 
     def _next_work(self) -> tuple[ReviewState, int] | None:
         """Newest state and its number, once there is something to do; None when the page is closed.
@@ -376,6 +383,9 @@ class Session:
                 self._interval_s = self.model.interval_s(state.drive)
             self.stage.draw(view, state.drive, lambda: self.camera.follow(view, state))
             self.view = view
+            if self._looks and view.selected is not None:
+                self.fly_to(view.selected)
+            self._looks = False
             if self._failed or self._told_of != (state.drive, state.frame):
                 self.tell("")
             if self._placed != state.drive:

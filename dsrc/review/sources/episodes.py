@@ -14,11 +14,13 @@ from dsrc.ops.detections import Detections
 from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
 from dsrc.review.sources.live import KEPT
 from dsrc.review.sources.moment import RUNNING, EpisodeMoment, EpisodeTimeline, Links
+from sensors.corruptions import CLEAN
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import make_sweep
 from sim.boxes import Boxes, concatenate
 from sim.errors import DataError, complaint
 from sim.geometry import invert, pose_matrix
+from sim.radio.spec import IDEAL
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
@@ -42,6 +44,7 @@ class EpisodeSource:
         protocol: names the scenario, see `place`; empty before that.
         sets: `PERCEPTS` and `TRACKS`.
         ended: whether no more steps come.
+        fault: corruption, channel and faults under which it was driven, as a table has them.
     """
 
     kind: Kind = "episode"
@@ -49,7 +52,7 @@ class EpisodeSource:
     seed = SEED
 
     def __init__(self, name: str) -> None:
-        self.name, self.ended = name, False
+        self.name, self.ended, self.fault = name, False, ""
         self.protocol: Mapping[str, Any] = {}
         self._percept_set, self._track_set = MemorySet(PERCEPTS), MemorySet(TRACKS)
         self.sets: dict[str, DetectionSet] = {PERCEPTS: self._percept_set, TRACKS: self._track_set}
@@ -177,6 +180,9 @@ def episode_source(log: EpisodeLog) -> EpisodeSource:
     if len(log) == 0:
         raise DataError(complaint(source.name, "steps", "at least one", "none"))
     source.place(settings.scenario, settings.seed)
+    channel = "" if settings.channel == IDEAL else settings.channel
+    named = [settings.condition.label if settings.corruption != CLEAN else "", channel, settings.fault]
+    source.fault = " + ".join(part for part in named if part) or CLEAN
     for tick in log.ticks:
         source.put(tick, settings.ego_id)
     source.end(str(log.outcome), log.message)

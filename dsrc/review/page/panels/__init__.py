@@ -14,10 +14,12 @@ from dsrc.review.page.panels.drawn import (
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.notes import NotesPanel
+from dsrc.review.page.panels.overview import OverviewPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.protocol import Page, Panel
 
 PANELS: tuple[Callable[[Page], Panel], ...] = (
+    OverviewPanel,
     TimelinePanel,
     ReportPanel,
     EpisodePanel,

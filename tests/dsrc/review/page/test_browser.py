@@ -171,6 +171,26 @@ def test_keys_work_after_a_choice_in_a_dropdown(opened: Opened) -> None:
     wait_for(lambda: opened.session.state.frame == before + 1)
 
 
+def test_a_click_in_the_overview_opens_the_worst_of_a_cell_and_back_leads_out_again(opened: Opened) -> None:
+    session = opened.session
+    opened.page.evaluate("window.sameDocument = true")
+    opened.click(
+        *opened.place_of(
+            "[...document.querySelectorAll('a')].find(e=>e.getAttribute('href').includes('errors=missed'))"
+        )
+    )
+    wait_for(lambda: opened.app.sessions and opened.session is not session, 60.0)
+    view = opened.session.wait_drawn(60.0)
+    assert view.details is not None and view.details.verdict == "missed"
+    opened.page.wait_for(f"document.body.innerText.includes('car {view.details.object_id}')", 20.0)
+    wait_for(lambda: np.linalg.norm(np.array(opened.session.client.camera.look_at) - view.selected) < 0.1)
+    assert opened.page.evaluate("window.sameDocument"), "the page was loaded again"
+    worst = opened.session
+    opened.page.evaluate("history.back()")
+    wait_for(lambda: opened.app.sessions and opened.session is not worst, 60.0)
+    assert opened.session.wait_drawn(60.0).details is None
+
+
 def test_help_opens_on_a_question_mark(opened: Opened) -> None:
     opened.key("?", code="Slash", text="?", modifiers=8)
     opened.page.wait_for("document.body.innerText.includes('Ten frames forward')", 20.0)

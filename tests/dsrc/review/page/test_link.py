@@ -143,3 +143,9 @@ def test_the_link_that_the_address_bar_shows_is_that_of_what_is_drawn(session: S
     while "frame=7&iou=0.7&view=" not in session.address.link:
         assert time.monotonic() < end, session.address.link
         time.sleep(0.02)
+
+
+def test_a_link_says_what_is_as_ever_where_the_page_begins_with_something_else(two: ReviewModel) -> None:
+    two.start = ReviewState(frame=3, corruption="fog", severity=4)
+    for state in (ReviewState(), ReviewState(frame=3, corruption="fog"), two.start, ReviewState(drive=1, severity=4)):
+        assert read_link(write_link(two, state, None), two, two.start) == (state, None, [])

@@ -74,7 +74,7 @@ def test_the_newest_frame_is_followed_and_an_earlier_one_is_not_left(
     for index in range(1, 5):
         page.source.put(street_frame(index))
         wait_for(lambda index=index: session.view is not None and session.view.index == index)
-    assert handle(session, "frame").max == 4
+    wait_for(lambda: handle(session, "frame").max == 4)
     session.update(frame=1)
     session.wait_drawn()
     page.source.put(street_frame(5))

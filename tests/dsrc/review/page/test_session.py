@@ -94,7 +94,7 @@ def test_another_ego_is_selected_by_name(session: Session, detector: FakeDetecto
     wait_for(lambda: session.state.ego_id == 1002)
     assert session.wait_drawn().ego.agent_id == 1002
     assert detector.samples[-1].agent_ids[0] == 1002
-    assert node(session, "/agents/ego_vehicle_1000/lidar/points") is None
+    assert node(session, "/agents/ego_vehicle_1000").visible is False
     assert node(session, "/agents/ego_vehicle_1002/lidar/points").visible
 
 
