@@ -1,9 +1,9 @@
 """Vehicles put a second time, right beside what stands: in the scenes of training they seldom are, on roads often.
 
-A vehicle that the ego alone sees goes with its points, turned about the sensor: it keeps its range and shows the same
-side. Of the places where nothing is in its way, it takes the one with most beside it that is as tall as a vehicle:
-hedges, walls, crowns of trees. What lies behind it in the same beams vanishes, and so do its own points behind
-something nearer.
+In a sample of one agent, a vehicle is copied with its points and turned about the sensor: the copy has the same range
+and shows the same side. Of the places where nothing is in its way, it takes the one with most beside it that is as tall
+as a vehicle: hedges, walls, crowns of trees, other vehicles. What lies behind it in the same beams vanishes, and so do
+its own points behind something nearer.
 
 Source: cut and paste as an augmentation is of Y. Yan et al., SECOND, Sensors 18 (2018).
 """
@@ -22,13 +22,17 @@ from sim.boxes import Boxes, concatenate
 from sim.geometry import wrap_angle
 
 _FEWEST = 20
-"""Fewest points of a vehicle that is put somewhere else."""
+"""Fewest points of a vehicle that is put somewhere else, and that it leaves what it hides in part: boxes without points
+teach a network to guess."""
 _KEPT = 0.5
 """Least share of its points that are seen there."""
 _TURNS = 90
+"""Number of the turns that are tried, evenly spread."""
 _MOST = 6
 """Most vehicles that one sample gets."""
 _CELL_M, _REACH_M = 0.4, 60.0
+_EGO_M = (2.8, 1.2)
+"""Half sides of the ego around its sensor, m; its own points are no part of its cloud."""
 _CLEAR_M = 0.35
 """Height above the ground of what is in the way."""
 _TALL_M = (0.8, 3.0)
@@ -58,14 +62,19 @@ def crowded(sample: Sample, share: float, rng: np.random.Generator) -> Sample:
     cloud, boxes = sample.clouds[0], sample.boxes
     start, chosen = int(rng.integers(_TURNS)), rng.random(len(boxes)) < share
     rows, owners = points_in_boxes(boxes, cloud, margin=_SKIN_M)
+    on_ground = cloud[rows, 2] <= (boxes.center[:, 2] - 0.5 * boxes.size[:, 2] + _SKIN_M)[owners]
+    rows, owners = rows[~on_ground], owners[~on_ground]
+    owner = np.full(len(cloud), -1)
+    owner[rows] = owners
+    fewest = np.minimum(np.bincount(owner[owner >= 0], minlength=len(boxes)), _FEWEST)
     standing = _counts(cloud, _CLEAR_M, _TALL_M[1])
+    _stand_ego(standing)
     tall = _counts(cloud, *_TALL_M)
     placed: list[Boxes] = []
     following = int(boxes.object_id.max(initial=0)) + 1
     cells = _directions(cloud)
     for row in np.flatnonzero(chosen & boxes.is_vehicle):
         own, box = sample.clouds[0][rows[owners == row]], boxes[row : row + 1]
-        own = own[own[:, 2] > box.center[0, 2] - 0.5 * box.size[0, 2] + _SKIN_M]
         if len(own) < _FEWEST or len(placed) == _MOST:
             continue
         taken = concatenate([boxes, *placed])
@@ -78,8 +87,13 @@ def crowded(sample: Sample, share: float, rng: np.random.Generator) -> Sample:
         if seen.sum() < max(_FEWEST, _KEPT * len(own)):
             continue
         rest = ~_behind(cloud, cells, points, own_cells)
+        left = np.bincount(owner[rest & (owner >= 0)], minlength=len(fewest))
+        if (left < fewest).any():
+            continue
         cloud = np.concatenate([cloud.compress(rest, axis=0), points[seen]])
         cells = np.concatenate([cells.compress(rest, axis=0), own_cells[seen]])
+        owner = np.concatenate([owner[rest], np.full(seen.sum(), len(taken))])
+        fewest = np.append(fewest, _FEWEST)
         center = _turned(box.center.astype(np.float32), turn).astype(np.float64)
         new = replace(
             box,
@@ -118,6 +132,13 @@ def _counts(cloud: NDArray[np.float32], low_m: float, high_m: float) -> NDArray[
             if i >= 0 and i < side and j >= 0 and j < side:
                 found[i, j] += 1
     return found
+
+
+def _stand_ego(standing: NDArray[np.int32]) -> None:
+    """Let the ego stand in the middle of the cells, in place."""
+    ahead, aside = (math.ceil(half / _CELL_M) for half in _EGO_M)
+    middle = len(standing) // 2
+    standing[middle - ahead : middle + ahead, middle - aside : middle + aside] += 1
 
 
 @compiled()
@@ -172,21 +193,21 @@ def _crowd(
     """Return the tall points beside a footprint; -1 if something stands in it."""
     c, s = np.cos(yaw), np.sin(yaw)
     ahead, aside = 0.5 * length, 0.5 * width
+    # A point of a cell lies at most half its diagonal from its middle.
+    skin = _CELL_M / np.sqrt(2.0)
+    around = np.hypot(ahead, aside) + np.sqrt(2.0) * _BESIDE_M
+    first_i, first_j = int((x - around + _REACH_M) / _CELL_M), int((y - around + _REACH_M) / _CELL_M)
+    more = int(2.0 * around / _CELL_M) + 2
     found = 0
-    u = -ahead - _BESIDE_M
-    while u <= ahead + _BESIDE_M:
-        v = -aside - _BESIDE_M
-        while v <= aside + _BESIDE_M:
-            i = int((x + c * u - s * v + _REACH_M) / _CELL_M)
-            j = int((y + s * u + c * v + _REACH_M) / _CELL_M)
-            if i >= 0 and i < len(standing) and j >= 0 and j < len(standing):
-                if abs(u) <= ahead + 0.1 and abs(v) <= aside + 0.1:
-                    if standing[i, j] > 0:
-                        return -1
-                else:
-                    found += tall[i, j]
-            v += _CELL_M
-        u += _CELL_M
+    for i in range(max(first_i, 0), min(first_i + more, len(standing))):
+        for j in range(max(first_j, 0), min(first_j + more, len(standing))):
+            dx, dy = (i + 0.5) * _CELL_M - _REACH_M - x, (j + 0.5) * _CELL_M - _REACH_M - y
+            along, across = abs(c * dx + s * dy), abs(c * dy - s * dx)
+            if along <= ahead + skin and across <= aside + skin:
+                if standing[i, j] > 0:
+                    return -1
+            elif along <= ahead + _BESIDE_M and across <= aside + _BESIDE_M:
+                found += tall[i, j]
     return found
 
 

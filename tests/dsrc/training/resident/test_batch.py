@@ -227,6 +227,14 @@ def test_some_settings_keep_points_with_the_host(changes: dict[str, object], why
     assert reason_for_host(recipe, recipe.settings("student")) == why
 
 
+def test_crowding_keeps_points_with_the_host() -> None:
+    recipe = recipe_of()
+    changes = {"augmentation": Augmentation(crowding=0.1), "model": replace(recipe.model, height="ground")}
+    recipe = replace(recipe, **changes)
+    # Of a network of any heights.
+    assert reason_for_host(recipe, recipe_of().settings("student")) == "augmentation.crowding"
+
+
 @pytest.mark.parametrize(
     ("method", "name", "value"),
     [
