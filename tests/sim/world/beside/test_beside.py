@@ -9,9 +9,11 @@ import shapely
 import trimesh
 
 from sim.catalog.load import load_scenario
-from sim.encounters import encounter_of
+from sim.encounters import encounter_of, network_file
 from sim.mesh.materials import material_index
+from sim.roads.networks import read_network
 from sim.scenario import Scenario
+from sim.traffic.parking import parked_cars
 from sim.world.build import build_world
 from sim.world.ground import streets_of as scenario_streets
 from sim.world.roads.streets import Streets
@@ -60,6 +62,20 @@ def test_nothing_stands_on_a_lane(name: str) -> None:
     shapely.prepare(lanes)
     assert len(solid) > 10_000
     assert not shapely.intersects(lanes, _flat(solid)).any()
+
+
+def test_nothing_stands_in_a_parked_car() -> None:
+    scenario, streets = furnished("rilsa_1"), streets_of("rilsa_1")
+    cars = parked_cars(scenario, read_network(network_file(scenario, 1)), 1)
+    corners = [0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * kind.size[:2] for kind in cars.kind]
+    turns = [np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) for yaw in cars.yaw]
+    footprints = shapely.polygons([c @ t + base[:2] for c, t, base in zip(corners, turns, cars.base, strict=True)])
+    bodies = shapely.union_all(footprints)
+    shapely.prepare(bodies)
+    assert len(cars) > 20
+    assert not shapely.intersects(bodies, _flat(_standing(world_of("rilsa_1"), streets, 0.2, 1.4))).any()
+    # Some stand below crowns.
+    assert shapely.intersects(bodies, _flat(_standing(world_of("rilsa_1"), streets, 1.5, 6.0))).any()
 
 
 @pytest.mark.parametrize("name", PLACES)
