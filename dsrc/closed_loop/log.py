@@ -47,6 +47,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         route_m: distance from the start to the goal, m; None where the traffic has no goal.
         versions: versions of the packages that can change a number.
         fault: faults beside corruption and channel, see `dsrc.faults.fault`; "" without any.
+        defence: against attacks, names between commas; "" without any.
     """
 
     scenario: Scenario
@@ -65,6 +66,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     route_m: float | None = None
     versions: dict[str, str] = {}
     fault: str = ""
+    defence: str = ""
 
     @property
     def condition(self) -> Condition:
@@ -119,8 +121,9 @@ class EpisodeLog:
         about = msgspec.to_builtins(
             _About(settings=self.settings, outcome=self.outcome, message=self.message, claims=tuple(claims))
         )
-        if not self.settings.fault:
-            del about["settings"]["fault"]
+        for name in ("fault", "defence"):
+            if not about["settings"][name]:
+                del about["settings"][name]
         columns = {
             "episode": np.array(VERSION),
             "about": np.array(msgspec.json.encode(about, order="sorted").decode()),

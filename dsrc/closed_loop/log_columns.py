@@ -1,7 +1,7 @@
 """Columns of an episode log: ticks, rounded, to the arrays of its file; `dsrc.closed_loop.log_reader` reads them."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import Any, TypeVar, get_args
 
 import numpy as np
@@ -143,6 +143,7 @@ def _percept_columns(percepts: Sequence[Percept | None]) -> dict[str, NDArray]:
         axis=1,
     )
     links = [link for percept in known for link in percept.links]
+    told = [(one, number) for number, percept in enumerate(known) for one in percept.told]
     arrived = np.concatenate([np.zeros(0, bool), *(link.arrived for link in links)])
     return {
         "percept/present": np.array([percept is not None for percept in percepts], bool),
@@ -158,6 +159,7 @@ def _percept_columns(percepts: Sequence[Percept | None]) -> dict[str, NDArray]:
         "link/arrived": np.packbits(arrived),
         "link/held": np.array([one.held for one in links], bool),
         "link/offered": np.array([-1 if one.offered is None else one.offered for one in links], np.int64),
+        **({"told": np.array([(number, *astuple(one)) for one, number in told], np.int64)} if told else {}),
     }
 
 

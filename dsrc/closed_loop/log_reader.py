@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.log_columns import BOX, MOVING, SIDES, STATES, TRACK, TWICE, runs_of
-from dsrc.closed_loop.types import Decision, EgoState, Percept, Tick, Tracks
+from dsrc.closed_loop.types import Decision, EgoState, Percept, Tick, Told, Tracks
 from sim.boxes import CLASSES, Boxes
 from sim.contact import Contact
 from sim.errors import DataError, complaint
@@ -187,6 +187,7 @@ def _percepts(reader: ColumnReader, count: int) -> list[Percept | None]:
     table = reader.table("percept/", known, MOVING)
     links = _links(reader)
     linked = reader.ends("link/count", known, len(links))
+    told = _told(reader, known)
 
     found: list[Percept | None] = [None] * count
     for instant, step in enumerate(np.flatnonzero(present).tolist()):
@@ -197,8 +198,20 @@ def _percepts(reader: ColumnReader, count: int) -> list[Percept | None]:
             score=table.values["score"][rows],
             velocity=table.velocity(rows),
             links=tuple(links[linked[instant] : linked[instant + 1]]),
+            told=told[instant],
         )
     return found
+
+
+def _told(reader: ColumnReader, known: int) -> list[tuple[Told, ...]]:
+    """Return what became of the messages of each percept; nothing in episodes without attack and defence."""
+    found: list[list[Told]] = [[] for _ in range(known)]
+    if "told" in reader.columns:
+        numbers = reader.array("told", "i8", (None, 7))
+        reader.index("told", known, numbers[:, 0])
+        for number, sender, objects, false, refused, false_refused, attacked in numbers.tolist():
+            found[number].append(Told(sender, objects, false, refused, false_refused, bool(attacked)))
+    return [tuple(one) for one in found]
 
 
 def _links(reader: ColumnReader) -> list[Link]:

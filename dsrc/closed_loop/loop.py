@@ -110,13 +110,14 @@ class PerceptionClock:
         except Exception as error:  # a perception of one's own may raise anything, and the campaign goes on
             self.failure = _one_line(error)
 
-    def percept(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept | None:
+    def percept(self, before: Actors, now: Actors, claims: dict[str, Actors], ego: EgoState) -> Percept | None:
         """Return the percept that arrives at the next step: of this instant, or of an earlier one with a latency.
 
         None without one, and after a failure.
 
         Args:
             claims: false objects that helpers report.
+            ego: as it is now, for attackers.
 
         Raises:
             SettingsError: a setting of the perception does not fit the agents: `who` names an id that none has.
@@ -124,6 +125,8 @@ class PerceptionClock:
         if self._steps % self._every == 0 and not self.failure:
             began = time.perf_counter()
             try:
+                if (aim := getattr(self._perception, "aim", None)) is not None:
+                    aim(ego)
                 percept = checked_percept(self._perception.perceive(before, now, claims), now.time_s)
             except SettingsError:
                 raise
@@ -314,7 +317,7 @@ class ClosedLoop:
 
         Args:
             names: further fields of `EpisodeSettings`: perception, detector, driver, corruption, severity, family,
-                who, channel, engine and fault (else those of the perception), versions.
+                who, channel, engine, fault and defence (else those of the perception), versions.
         """
         if self.outcome is None:
             raise TrafficError("expected an episode that has ended, found a running one")
@@ -324,7 +327,12 @@ class ClosedLoop:
             ego_id=self.ego_id,
             loop=msgspec.to_builtins(self.settings),
             route_m=self._route_m,
-            **{"engine": getattr(self.perception, "engine", "fused"), "fault": faults_text(self._faults), **names},
+            **{
+                "engine": getattr(self.perception, "engine", "fused"),
+                "fault": faults_text(self._faults),
+                "defence": ",".join(getattr(self.perception, "defence", ())),
+                **names,
+            },
         )
         return EpisodeLog(settings, self._first, self.ticks, self.outcome, self.message)
 
@@ -339,7 +347,7 @@ class ClosedLoop:
         traffic, now = self.traffic, self.traffic.actors
         claims = traffic.claims()
         with self._timed("perceive"):
-            percept = self._clock.percept(before, now, claims)
+            percept = self._clock.percept(before, now, claims, ego)
         if self._clock.failure:
             self.outcome, self.message = Outcome.PERCEPTION_FAILED, self._clock.failure
         percept = shown(self.driver, percept)

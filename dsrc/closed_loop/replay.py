@@ -36,7 +36,7 @@ def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | 
     for tick in log.ticks:
         if settings.ego_id not in tick.actors.boxes.object_id:
             break
-        percept = shown(driver, clock.percept(before, tick.actors, tick.claims))
+        percept = shown(driver, clock.percept(before, tick.actors, tick.claims, tick.ego))
         if clock.failure:
             outcome, message = Outcome.PERCEPTION_FAILED, clock.failure
             break

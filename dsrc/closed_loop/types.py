@@ -16,6 +16,27 @@ from sim.scenario import Scenario
 from sim.traffic.base import Actors, Limits, TrafficLight
 
 
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What became of a helper's message, in episodes with an attack or a defence.
+
+    Attributes:
+        sender: id of the helper.
+        objects: number of those that it tells of.
+        false: of these, those that an attack put where none is.
+        refused: of the objects, those that the ego refused.
+        false_refused: of the false ones, likewise.
+        attacked: whether an attack changed the message.
+    """
+
+    sender: int
+    objects: int
+    false: int
+    refused: int
+    false_refused: int
+    attacked: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Percept:
     """Objects that a perception reports, world frame.
@@ -27,6 +48,7 @@ class Percept:
         velocity: (N, 2) measured velocity, m/s; NaN where it is not measured.
         links: receptions of the helpers' messages.
         seen: seen space; None of a perception without sweeps, in logs, and once the driver has seen it.
+        told: what became of the helpers' messages, in episodes with an attack or a defence.
     """
 
     time_s: float
@@ -35,6 +57,7 @@ class Percept:
     velocity: NDArray[np.float64]
     links: tuple[Link, ...] = ()
     seen: SeenSpace | None = None
+    told: tuple[Told, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -90,10 +90,15 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def needs(self) -> str:
-        """What it acts on beside the ego itself: `sensor`, `radio` (helpers), or ""."""
+        """What it acts on beside the ego itself: `sensor`, `radio` (helpers), `message` (objects they tell), or ""."""
         if self.what.place == "localisation":
             return "radio" if self.agents == "helpers" else ""
-        return self.what.place if self.what.place in ("sensor", "radio") else ""
+        return self.what.place if self.what.place in ("sensor", "radio", "message") else ""
+
+    @property
+    def attack(self) -> bool:
+        """Whether helpers lie."""
+        return self.what.place == "message"
 
     @property
     def agents_text(self) -> str:

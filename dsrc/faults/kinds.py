@@ -9,8 +9,9 @@ import msgspec
 from sensors.corruptions import CORRUPTIONS, DEFAULT_SEVERITY, Changes, Family
 from sensors.corruptions.apply import CorruptedAgents
 
-Place = Literal["sensor", "localisation", "radio", "computing", "actuation"]
-"""Where a fault acts: on sweeps, on the believed pose, on messages, on the detector's cycle, on the ego's commands."""
+Place = Literal["sensor", "localisation", "radio", "message", "computing", "actuation"]
+"""Where a fault acts: on sweeps, on the believed pose, on the delivery of messages, on what a lying helper writes into
+them (attacks), on the detector's cycle, on the ego's commands."""
 
 Ranges = dict[str, tuple[float, float]]
 
@@ -147,6 +148,22 @@ class Gain(FaultSettings, frozen=True):
     factor: float
 
 
+class Ghost(FaultSettings, frozen=True):
+    """Share of the messages that tell of a standing car that is not there, so far ahead of the ego on its route, m."""
+
+    RANGES: ClassVar[Ranges] = {"share": (0.0, 1.0), "ahead_m": (3.0, 150.0)}
+    share: float = 1.0
+    ahead_m: float = 25.0
+
+
+class Remove(FaultSettings, frozen=True):
+    """Share of the messages that say nothing of the road users within a distance of the ego's route, m."""
+
+    RANGES: ClassVar[Ranges] = {"share": (0.0, 1.0), "aside_m": (0.0, inf)}
+    share: float = 1.0
+    aside_m: float = 100.0
+
+
 @dataclass(frozen=True, slots=True)
 class FaultKind:
     """One kind of fault.
@@ -181,6 +198,10 @@ KINDS: dict[str, FaultKind] = {
     "rate": FaultKind("radio", Rate, "helpers", ("message_hz",)),
     "range": FaultKind("radio", Reach, "helpers", ("range_m",)),
     "age": FaultKind("radio", Age, "helpers", ("longest_age_s",)),
+    "ghost": FaultKind("message", Ghost, "helpers"),
+    "remove": FaultKind("message", Remove, "helpers"),
+    "false_pose": FaultKind("message", Bias, "helpers"),
+    "replay": FaultKind("message", Seconds, "helpers"),
     "latency": FaultKind("computing", Seconds, "ego"),
     "missed_cycles": FaultKind("computing", Share, "ego"),
     "control_delay": FaultKind("actuation", Seconds, "ego"),

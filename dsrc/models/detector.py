@@ -182,6 +182,28 @@ class Detector(nn.Module):
         Raises:
             ValueError: the detector is a teacher, which reads clouds made with ground truth.
         """
+        sample, parts = self._parts(sample)
+        found = join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
+        return as_sensed(found, sample, self.settings)
+
+    @torch.inference_mode()
+    def detect_each(self, sample: Sample) -> list[Detections]:
+        """Detect in the cloud of each agent alone, as `detect` does with late fusion before it joins them.
+
+        Raises:
+            ValueError: the detector fuses otherwise, or is a teacher.
+        """
+        if self.settings.fusion != "late":
+            raise ValueError(f"expected a detector with late fusion, found one with {self.settings.fusion}")
+        sample, parts = self._parts(sample)
+        return [as_sensed(part, sample, self.settings) for part in parts]
+
+    def joined(self, parts: list[Detections]) -> Detections:
+        """Return the detections of several agents as one, best first."""
+        return join_detections(parts, self.settings.nms_iou)
+
+    def _parts(self, sample: Sample) -> tuple[Sample, list[Detections]]:
+        """Return the sample as the network takes it and what it finds: with late fusion in each agent's cloud."""
         was_training = self.training
         if was_training:  # setting the mode of a hundred layers takes as long as coding the clouds
             self.eval()
@@ -195,8 +217,7 @@ class Detector(nn.Module):
         parts = self.decode(self(batch.student.to(device), batch.layout.to(device)))
         if was_training:
             self.train()
-        found = join_detections(parts, self.settings.nms_iou) if self.settings.fusion == "late" else parts[0]
-        return as_sensed(found, sample, self.settings)
+        return sample, parts
 
     def _single_agent_detections(self, sample: Sample) -> list[Detections]:
         count = 1 if self.settings.fusion == "none" else self.settings.max_agents

@@ -10,7 +10,7 @@ from dsrc.data.sample import Sample
 from dsrc.models.detector import Detector
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
-from sim.boxes import concatenate
+from sim.boxes import CLASSES, concatenate
 from sim.errors import SettingsError, complaint
 
 
@@ -43,16 +43,31 @@ class JoinedDetectors:
 
     def detect(self, sample: Sample) -> Detections:
         """Detect in one sample of the first one's settings, best first, in the ego LiDAR's frame."""
-        whole = self.settings.grid
-        found = [
-            detector.detect(
-                replace(sample, lost=tuple(tiles_of(part, whole, detector.settings.grid) for part in sample.lost))
-            )
-            for detector in self.detectors
-        ]
-        score = np.concatenate([part.score for part in found])
-        order = np.argsort(-score, kind="stable")
-        return Detections(concatenate([part.boxes for part in found])[order], score[order])
+        return _best_first([detector.detect(self._part(sample, detector)) for detector in self.detectors])
+
+    def detect_each(self, sample: Sample) -> list[Detections]:
+        """Detect in the cloud of each agent alone, see `Detector.detect_each`."""
+        found = [detector.detect_each(self._part(sample, detector)) for detector in self.detectors]
+        return [_best_first(parts) for parts in zip(*found, strict=True)]
+
+    def joined(self, parts: list[Detections]) -> Detections:
+        """Return the detections of several agents as one, best first: a vehicle suppresses vehicles alone."""
+        found = []
+        for detector in self.detectors:
+            labels = [CLASSES.index(name) for name in detector.classes]
+            found.append(detector.joined([part[np.isin(part.boxes.label, labels)] for part in parts]))
+        return _best_first(found)
+
+    def _part(self, sample: Sample, detector: Detector) -> Sample:
+        """Return the sample of one of the detectors: lost tiles are those of its own grid."""
+        lost = tuple(tiles_of(part, self.settings.grid, detector.settings.grid) for part in sample.lost)
+        return replace(sample, lost=lost)
+
+
+def _best_first(parts: Sequence[Detections]) -> Detections:
+    score = np.concatenate([part.score for part in parts])
+    order = np.argsort(-score, kind="stable")
+    return Detections(concatenate([part.boxes for part in parts])[order], score[order])
 
 
 def tiles_of(lost: NDArray[np.bool_], whole: GridSpec, grid: GridSpec) -> NDArray[np.bool_]:

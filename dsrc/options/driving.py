@@ -9,6 +9,7 @@ from dsrc.options.detection import AutoEngine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, changed_radios, choice
 
 DriverName = Literal["planning", "anticipating", "careful"]
+DEFENCES = ("none", "agreement", "free-space", "motion", "trust")
 PERCEPTIONS = ("truth", "sight", "team-sight", "ego", "team", "late", "FILE", "MODEL.json", "MODULE:CLASS")
 
 
@@ -34,6 +35,8 @@ class DriveOptions(msgspec.Struct, frozen=True):
         fault: faults, each text in episodes of its own: a corruption with its severity, or what is wrong with a sensor,
             the radio and so on, with its numbers, time and agents, as in 'fog:3 from 4 s to 9 s on helpers'; several at
             once with plus signs between them; default: none.
+        defence: defences against helpers that lie (faults ghost, remove, false_pose, replay), each text in episodes of
+            its own: one of these, or several between commas; default: none.
         seed: seeds of the episodes, one each; default: 0.
         engine: execution of the network, see dsrc evaluate; auto is bf16 where the processor computes it and the
             detector is as good in it, else fused.
@@ -58,6 +61,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     delay_s: float | None = None
     pose_error: float | None = None
     fault: Annotated[tuple[str, ...], arg(metavar="FAULT [...]")] = ()
+    defence: Annotated[tuple[str, ...], choice(DEFENCES, several=True)] = ()
     seed: tuple[int, ...] = ()
     engine: AutoEngine = "auto"
     driver: DriverName | None = None

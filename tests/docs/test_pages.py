@@ -91,7 +91,7 @@ def test_the_order_of_the_tutorials_has_them_all() -> None:
 
 @pytest.mark.parametrize(
     "page",
-    [*TUTORIALS, *(ROOT / f"docs/{name}.md" for name in ("closed_loop", "faults", "campaigns"))],
+    [*TUTORIALS, *(ROOT / f"docs/{name}.md" for name in ("closed_loop", "faults", "attacks", "campaigns"))],
     ids=lambda page: page.stem,
 )
 def test_every_command_of_a_page_parses(page: Path) -> None:

@@ -18,7 +18,9 @@ from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.encounter import conflict_class
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
+from dsrc.closed_loop.messages.defences import Defence
 from dsrc.closed_loop.metrics.episode import episode_metrics
+from dsrc.closed_loop.metrics.lies import lie_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Driver, Perception
 from dsrc.data.jsonio import read_json
@@ -59,6 +61,8 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
         versions: of other packages that the code imports.
         code: hash of the code.
         faults: of the episode, beside condition and radio, which are there all the time.
+        defence: against attacks.
+        lies: whether what helpers told is measured too, as in a campaign with attacks or defences.
     """
 
     scenario: str
@@ -78,6 +82,8 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
     versions: dict[str, str]
     code: str
     faults: Faults = ()
+    defence: Defence = ()
+    lies: bool = False
 
 
 def decisive(job: EpisodeJob) -> dict[str, Any]:
@@ -85,7 +91,8 @@ def decisive(job: EpisodeJob) -> dict[str, Any]:
     condition = job.condition.decisive()
     found = msgspec.to_builtins(replace(job, faults=())) | {"who": condition.pop("who", EVERYONE)}
     found |= {"condition": condition, "faults": [one.decisive() for one in job.faults]}
-    left_out = ["scenario", "perception", "checkpoint", "channel", *(() if job.faults else ["faults"])]
+    left_out = ["scenario", "perception", "checkpoint", "channel", "lies"]
+    left_out += [name for name in ("faults", "defence") if not getattr(job, name)]
     return {name: found[name] for name in found if name not in left_out}
 
 
@@ -111,8 +118,10 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
         outcome: see `dsrc.closed_loop.types.Outcome`.
         message: explanation of a failed perception.
         key: name of its cell.
-        metrics: see `dsrc.closed_loop.metrics.episode.EpisodeMetrics`; None where undefined.
+        metrics: see `dsrc.closed_loop.metrics.episode.EpisodeMetrics`, and `dsrc.closed_loop.metrics.lies.LieMetrics`
+            in a campaign with attacks or defences; None where undefined.
         fault: faults beside corruption and channel, "" without any.
+        defence: against attacks, names between commas, "" without any.
     """
 
     scenario: str
@@ -130,15 +139,22 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
     key: str
     metrics: dict[str, float | None]
     fault: str = ""
+    defence: str = ""
 
     @property
     def clean(self) -> bool:
-        """Whether there is neither a corruption nor a fault."""
-        return self.corruption == CLEAN and not self.fault
+        """Whether there is neither a corruption nor a fault nor a defence."""
+        return self.corruption == CLEAN and not self.fault and not self.defence
 
     @property
     def title(self) -> str:
-        """Title of what is wrong with it, but for the channel."""
+        """Title of what is wrong with it, but for the channel, and of what defends it."""
+        defended = f", defended by {self.defence.replace(',', ' and ')}" if self.defence else ""
+        return self.disturbance + defended
+
+    @property
+    def disturbance(self) -> str:
+        """What is wrong with it, but for the channel."""
         return self.fault or self.condition.label
 
     @property
@@ -170,8 +186,9 @@ def drive_unit(unit: Unit[EpisodeJob], progress: Progress) -> None:
         log = drive_episode(job)
         log.save(unit.folder / f"{key}.npz")
         result = msgspec.to_builtins(result_of(key, job, log)) | {"settings": decisive(job)}
-        if not job.faults:
-            del result["fault"]
+        for name in ("fault", "defence"):
+            if not result[name]:
+                del result[name]
         write_file(unit.folder / f"{key}.json", msgspec.json.encode(result, order="deterministic"))
         progress(done, len(unit.jobs))
 
@@ -201,6 +218,7 @@ def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = 
         engine=job.engine,
         versions=job.versions,
         fault=faults_text(job.faults),
+        defence=",".join(job.defence),
     )
 
 
@@ -224,7 +242,7 @@ def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
     """Return the result of an episode, computed from its log and the classes of its perception alone."""
     condition = job.condition
     road_user = conflict_class(log.settings.scenario, log.settings.seed)
-    values = msgspec.to_builtins(episode_metrics(log))
+    values = msgspec.to_builtins(episode_metrics(log)) | (msgspec.to_builtins(lie_metrics(log)) if job.lies else {})
     return EpisodeResult(
         scenario=job.scenario,
         perception=job.perception,
@@ -241,6 +259,7 @@ def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
         key=key,
         metrics={name: None if value != value else float(value) for name, value in values.items()},
         fault=faults_text(job.faults),
+        defence=",".join(job.defence),
     )
 
 
@@ -255,6 +274,7 @@ def _perception(job: EpisodeJob) -> Perception:
         job.loop.look_ahead_s,
         job.engine,
         job.faults,
+        job.defence,
     )
 
 
@@ -269,6 +289,7 @@ def _opened(
     look_ahead_s: float,
     engine: str,
     faults: Faults,
+    defence: Defence,
 ) -> Perception:
     return open_perception(
         uses,
@@ -279,4 +300,5 @@ def _opened(
         look_ahead_s=look_ahead_s,
         engine=engine,
         fault=faults,
+        defence=defence,
     )

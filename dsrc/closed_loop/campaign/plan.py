@@ -24,6 +24,7 @@ import logging
 import math
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -34,11 +35,13 @@ from msgspec.structs import replace
 from dsrc.closed_loop.campaign.disturbance import Disturbance, settled
 from dsrc.closed_loop.campaign.episode import EpisodeJob
 from dsrc.closed_loop.loop import LoopSettings
+from dsrc.closed_loop.messages.defences import NO_DEFENCE, Defence, parse_defence
 from dsrc.closed_loop.perception.error_model.model import read_model
 from dsrc.closed_loop.perception.open import (
     ALONE,
     LATE,
     MODELLED,
+    TELLING,
     TOGETHER,
     WITHOUT_SENSOR,
     open_perception,
@@ -69,7 +72,7 @@ _OF_RADIO = ("channel", "loss", "delay_s", "pose_error")
 _IDEAL_RADIO: dict[str, Any] = {"channel": (IDEAL,), "loss": None, "delay_s": None, "pose_error": None}
 _PATIENT, _PATIENT_S = ("anticipating",), 30.0
 """Drivers that may arrive late, and the longest episodes of a plan with one, where it does not say it, s."""
-_AS_GIVEN = ("severity", "family", "corrupted_agents", *_OF_RADIO, "fault", "engine", "driver")
+_AS_GIVEN = ("severity", "family", "corrupted_agents", *_OF_RADIO, "fault", "defence", "engine", "driver")
 """Options of `dsrc drive` that are fields of a campaign."""
 
 Seeds = Annotated[int, Meta(ge=1)] | Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
@@ -115,6 +118,8 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         delay_s: delay of messages, s, likewise.
         pose_error: pose error of the helpers, m and deg, likewise.
         fault: faults, each text a row of the tables, see `dsrc.faults.fault`: `fog:3 from 4 s on helpers + loss:0.3`.
+        defence: defences against helpers that lie, each text in episodes of its own: names between commas, or `none`;
+            perceptions whose helpers tell no boxes are driven without. See `dsrc.closed_loop.messages.defences`.
         clean_seeds: seeds of each scenario and perception without a corruption: a number of them, from 0, or a list.
         seeds: those of each scenario, perception, corruption, severity or fault, and channel; the same for all.
         engine: execution of the networks, see `dsrc.models.storage.deploy.ENGINES`; `auto` becomes the fastest that
@@ -137,6 +142,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     delay_s: float | None = None
     pose_error: float | None = None
     fault: tuple[str, ...] = ()
+    defence: tuple[str, ...] = ()
     clean_seeds: Seeds = 20
     seeds: Seeds = 10
     engine: AutoEngine = "auto"
@@ -154,6 +160,16 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     def radios(self) -> tuple[str, ...]:
         """Radio channels with their changes."""
         return changed_radios(self.channel, self.loss, self.delay_s, self.pose_error)
+
+    @property
+    def defences(self) -> tuple[Defence, ...]:
+        """Defences, each in episodes of its own."""
+        return tuple(parse_defence(text, "campaign") for text in self.defence or (NO_DEFENCE,))
+
+    @property
+    def lies(self) -> bool:
+        """Whether it has attacks or defences, so that what helpers told is measured."""
+        return any(self.defences) or any(one.attack for text in self.fault for one in parse_faults(text, "campaign"))
 
     def disturbed(self, channel: str) -> list[Disturbance]:
         """Return what the episodes of a channel are driven in: clean, each corruption, each text of faults."""
@@ -335,6 +351,7 @@ def check(plan: Campaign, where: str) -> None:
             raise SettingsError(complaint(where, "perceptions.name", expected, f"'{one.name}'"))
     conditions_of(plan.corruption, plan.severity, (plan.family,), plan.corrupted_agents, where)
     _check_faults(plan, where)
+    _check_defences(plan, where)
     if plan.loop.look_ahead_s and not any(_has_detector(one) for one in plan.perceptions):
         expected = f"0 with perception '{plan.perceptions[0].name}', which has no detector whose range could be shifted"
         raise SettingsError(complaint(where, "look_ahead_s", expected, f"{plan.loop.look_ahead_s:g}"))
@@ -371,7 +388,10 @@ def _check_faults(plan: Campaign, where: str) -> None:
         each = settled(parse_faults(text, where), plan.radios[0])
         if not any(_acts(each, plan.radios, one, _has_helpers(one)) for one in plan.perceptions):
             names = ", ".join(one.name for one in plan.perceptions)
-            raise SettingsError(complaint(where, f"fault '{text}'", "a perception that all of it acts on", names))
+            expected = "a perception that all of it acts on"
+            if any(one.attack for one in each.faults):
+                expected += f", {' or '.join(TELLING)}, whose helpers tell boxes"
+            raise SettingsError(complaint(where, f"fault '{text}'", expected, names))
     driven = [each for channel in plan.radios for each in plan.disturbed(channel)]
     for each in driven:
         if driven.count(each) > 1:
@@ -379,12 +399,23 @@ def _check_faults(plan: Campaign, where: str) -> None:
             raise SettingsError(complaint(where, "fault", expected, f"{each.condition.label}, {each.channel}"))
 
 
+def _check_defences(plan: Campaign, where: str) -> None:
+    """Raise SettingsError for a wrong defence, one that is there twice, or one of a perception without messages."""
+    found = [",".join(parse_defence(text, where)) or NO_DEFENCE for text in plan.defence]
+    if repeated := [text for text in found if found.count(text) > 1]:
+        raise SettingsError(complaint(where, "defence", "texts that differ", repeated[0]))
+    if set(found) - {NO_DEFENCE} and not any(one.kind in TELLING for one in plan.perceptions):
+        expected = f"a perception whose helpers tell boxes, {' or '.join(TELLING)}"
+        names = ", ".join(one.name for one in plan.perceptions)
+        raise SettingsError(complaint(where, f"defence '{plan.defence[0]}'", expected, names))
+
+
 def episodes_of(plan: Campaign) -> list[EpisodeJob]:
     """Return all episodes, seed by seed of a scenario, so that its world and proof are made once.
 
     A perception without a sensor drives clean episodes only, one without helpers through the first channel only.
     """
-    plan = with_engine(plan)
+    plan, lies = with_engine(plan), plan.lies
     code, versions = code_hash(COMPUTED_BY), package_versions(COMPUTED_BY)
     hashes = {one.name: detector_hash(one.kind, one.checkpoint) for one in plan.perceptions}
     helped = {one.name: _has_helpers(one) for one in plan.perceptions}
@@ -394,7 +425,9 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
         content, files = msgspec.to_builtins(loaded), _files_of(loaded)
         for seed in dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)]):
             for one in plan.perceptions:
-                for condition, channel, faults in _cells(plan, one, seed, helped[one.name]):
+                cells = list(_cells(plan, one, seed, helped[one.name]))
+                defences = plan.defences if one.kind in TELLING else ((),)
+                for (condition, channel, faults), defence in product(cells, defences):
                     found.append(
                         EpisodeJob(
                             scenario=scenario,
@@ -414,6 +447,8 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                             versions=versions,
                             code=code,
                             faults=faults,
+                            defence=defence,
+                            lies=lies,
                         )
                     )
     return found
@@ -449,6 +484,7 @@ def controls_of(plan: Campaign) -> Campaign | None:
         corruption=(CLEAN,),
         **_IDEAL_RADIO,
         fault=(),
+        defence=(),
         clean_seeds=_driven(plan),
         controls=False,
     )
@@ -463,6 +499,7 @@ def careful_of(plan: Campaign) -> Campaign:
         corruption=(CLEAN,),
         **_IDEAL_RADIO,
         fault=(),
+        defence=(),
         clean_seeds=seeds,
         seeds=seeds,
         driver="careful",
@@ -490,10 +527,13 @@ def _cells(plan: Campaign, one: PerceptionSpec, seed: int, helped: bool) -> Iter
 def _acts(disturbance: Disturbance, channels: tuple[str, ...], one: PerceptionSpec, helped: bool) -> bool:
     """Whether a perception is driven in a disturbance.
 
-    All of it must act on a perception without a sensor, and some of it on one without helpers.
+    All of it must act on a perception without a sensor, and some of it on one without helpers; attacks are on those
+    whose helpers tell boxes.
     """
     condition, channel, faults = disturbance
     needs = {fault.needs for fault in faults}
+    if "message" in needs and one.kind not in TELLING:
+        return False
     if one.kind in WITHOUT_SENSOR:
         return condition.kind == CLEAN and channel in channels and not needs & {"sensor", "radio"}
     return helped or condition.kind != CLEAN or bool(needs - {"radio"}) or (not faults and channel in channels)

@@ -39,6 +39,7 @@ from dsrc.closed_loop.campaign.plan import (
     with_engine,
 )
 from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.messages.defences import NO_DEFENCE, parse_defence
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.closed_loop.perception.open import open_perception, parse_perception
 from dsrc.closed_loop.replay import replay
@@ -58,6 +59,8 @@ from sim.radio import IDEAL
 from sim.reading import parsing, read_text
 
 _COLUMNS = tuple(name for name in EpisodeResult.__struct_fields__ if name != "metrics")
+_SELDOM = ("fault", "defence")
+"""Columns that are there where an episode has them."""
 _REUSED = "reused.csv"
 """Results of earlier runs in a campaign's folder."""
 
@@ -159,7 +162,7 @@ def _reference(plan: Campaign) -> list[EpisodeJob]:
 def results_csv(results: Iterable[EpisodeResult]) -> str:
     """Return results as CSV, a line per episode and a column per metric."""
     results = list(results)
-    columns = [name for name in _COLUMNS if name != "fault" or any(result.fault for result in results)]
+    columns = [name for name in _COLUMNS if name not in _SELDOM or any(getattr(result, name) for result in results)]
     metrics = sorted({name for result in results for name in result.metrics})
     rows = []
     for result in results:
@@ -186,7 +189,7 @@ def read_results(paths: Iterable[Path], whole: bool = True, field: str = "reuse"
         with parsing(path, "results.csv"):
             rows = list(csv.reader(io.StringIO(text)))
         heads = rows[0] if rows else []
-        kept = tuple(name for name in _COLUMNS if name != "fault")
+        kept = tuple(name for name in _COLUMNS if name not in _SELDOM)
         needed = (*kept, *EpisodeMetrics.__struct_fields__) if whole else kept
         if lacking := [name for name in needed if name not in heads]:
             raise DataError(complaint(path, "columns", "those of results.csv", f"none named {lacking[0]}"))
@@ -336,13 +339,14 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
     """Return the log of an episode, and another with the percepts of the perception of a command line.
 
     Without a perception in the options it is the log's own: both logs are then the same. With a perception, a
-    corruption, a channel or faults in the options, what they leave out of the others is clean and ideal, not the log's.
+    corruption, a channel, faults or a defence in the options, what they leave out of the others is none and ideal, not
+    the log's.
 
     Raises:
         UserError: the log or a setting is wrong, or the log's own detector is not the file that is given.
     """
     radios = options.radios
-    for field in ("perception", "corruption", "severity", "channel", "fault"):
+    for field in ("perception", "corruption", "severity", "channel", "fault", "defence"):
         if len(values := getattr(options, field)) > 1:
             raise SettingsError(complaint("drive", option(field), "one value for a log", " ".join(map(str, values))))
     former = EpisodeLog.load(path)
@@ -358,7 +362,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         if detector_hash(uses, checkpoint) != settings.detector:
             expected = f"the detector of the log, SHA-256 {settings.detector[:12]}"
             raise SettingsError(complaint("drive", "checkpoint", expected, checkpoint or f"that of '{uses}'"))
-    asked = options.perception or options.corruption or radios or options.fault
+    asked = options.perception or options.corruption or radios or options.fault or options.defence
     corruption = (options.corruption or (CLEAN if asked else settings.corruption,))[0]
     if corruption == CLEAN:
         for field in ("severity", "corrupted_agents", "family"):
@@ -374,6 +378,8 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
     faults = parse_faults(options.fault[0]) if options.fault else ()
     if not asked and settings.fault:
         faults = parse_faults(settings.fault, str(path))
+    own = "" if asked else settings.defence
+    defence = parse_defence(options.defence[0] if options.defence else own or NO_DEFENCE)
     used: dict[str, Any] = {
         "channel": (radios or (IDEAL if asked else settings.channel,))[0],
         # A perception that is driven again keeps its engine.
@@ -384,6 +390,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         checkpoint=options.checkpoint,
         corruption=condition,
         fault=faults,
+        defence=defence,
         interval_s=settings.loop.get("detect_every_s", settings.scenario.step_s),
         look_ahead_s=settings.loop.get("look_ahead_s", 0.0) if options.look_ahead_s is None else options.look_ahead_s,
         **used,
@@ -404,6 +411,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         who=condition.agents_text,
         driver=driver,
         fault=faults_text(faults),
+        defence=",".join(defence),
         **used,
     )
     return former, again

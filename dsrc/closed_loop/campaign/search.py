@@ -129,6 +129,7 @@ def _single(plan: Campaign, kind: str, quantity: Quantity) -> tuple[PerceptionSp
         "seed": len(_seeds(plan)),
         "channel": len(plan.radios),
         "fault": len(plan.fault),
+        "defence": len(plan.defence),
         "severity": 1 if kind == CLEAN else len(plan.severity),
     }
     for field, count in counts.items():
@@ -150,6 +151,7 @@ def _perception(plan: Campaign, one: PerceptionSpec, kind: str, quantity: Quanti
     return open_perception(
         one.kind,
         fault=parse_faults(plan.fault[0]) if plan.fault else (),
+        defence=plan.defences[0],
         checkpoint=Path(one.checkpoint) if one.checkpoint else None,
         corruption=Condition.of(kind if severity else CLEAN, severity, plan.family, plan.corrupted_agents),
         channel=radio.label,

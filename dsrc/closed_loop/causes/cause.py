@@ -5,7 +5,7 @@ had to happen before it, in this order: a LiDAR sees the road user, a percept ha
 driver brakes. The first of these that came after the last chance is the cause.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal, get_args
 
 import msgspec
@@ -13,6 +13,7 @@ import numpy as np
 
 from dsrc.closed_loop.causes.braking import last_chance
 from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.metrics.lies import for_nobody
 from dsrc.closed_loop.metrics.sight import MATCH_M
 from dsrc.closed_loop.types import Outcome, Tick
 from sim.boxes import CLASSES, Boxes
@@ -156,9 +157,12 @@ def _late(log: EpisodeLog, in_sight: InSight, other_id: int, who: str) -> Cause:
 def _told(log: EpisodeLog) -> str | None:
     """Return who reported the road user that the last decisions were for, if it does not exist; None for nobody."""
     end_s = log.ticks[-1].actors.time_s
-    for tick in reversed(log.ticks):
+    for step in range(len(log) - 1, -1, -1):
+        tick = log.ticks[step]
         if end_s - tick.actors.time_s > _TOLD_S:
             return None
+        if for_nobody(tick, log.settings.ego_id) and (liars := _liars(log.ticks[: step + 1])) is not None:
+            return liars
         rows = np.flatnonzero(tick.tracks.boxes.object_id == tick.decision.track)
         if not len(rows) or not tick.claims:
             continue
@@ -171,6 +175,13 @@ def _told(log: EpisodeLog) -> str | None:
                 row = tick.actors.name.index(name) if name in tick.actors.name else None
                 return name if row is None else f"helper {tick.actors.boxes.object_id[row]}"
     return None
+
+
+def _liars(ticks: Sequence[Tick]) -> str | None:
+    """Return whose false objects the newest percept believed; None for nobody's."""
+    newest = next((tick.percept for tick in reversed(ticks) if tick.percept is not None), None)
+    liars = [] if newest is None else [str(one.sender) for one in newest.told if one.false > one.false_refused]
+    return f"helper{'s' if len(liars) > 1 else ''} {' and '.join(liars)}" if liars else None
 
 
 def _reach(boxes: Boxes) -> np.ndarray:

@@ -12,7 +12,7 @@ from dsrc.closed_loop.causes.cause import Cause, cause_of
 from dsrc.closed_loop.causes.eyes import Eyes
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.error_model.model import read_model
-from dsrc.closed_loop.perception.open import ALONE, MODELLED, WITHOUT_SENSOR, parse_perception
+from dsrc.closed_loop.perception.open import ALONE, MODELLED, TEAM_SIGHT, WITHOUT_SENSOR, parse_perception
 from dsrc.closed_loop.types import Outcome
 from dsrc.runs.executors import Progress
 from sim.files import file_sha256, write_file
@@ -33,7 +33,7 @@ def crash_cause(log: EpisodeLog, cooperative: bool | None = None) -> Cause | Non
         return None
     settings = log.settings
     if cooperative is None:
-        cooperative = parse_perception(settings.perception).kind not in (*WITHOUT_SENSOR, ALONE)
+        cooperative = _helped(parse_perception(settings.perception).kind)
     eyes: list[Eyes] = []  # a world is built where a line of sight is asked for
 
     def in_sight(now: Actors, object_id: int) -> bool:
@@ -85,4 +85,8 @@ def _kept(path: Path, cooperative: bool) -> Cause | None:
 def _cooperative(one: PerceptionSpec) -> bool:
     if one.kind == MODELLED:
         return read_model(Path(one.checkpoint)).cooperative
-    return one.kind not in (*WITHOUT_SENSOR, ALONE)
+    return _helped(one.kind)
+
+
+def _helped(kind: str) -> bool:
+    return kind == TEAM_SIGHT or kind not in (*WITHOUT_SENSOR, ALONE)

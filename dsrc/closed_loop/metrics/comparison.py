@@ -45,6 +45,11 @@ class Result(Protocol):
         ...
 
     @property
+    def defence(self) -> str:
+        """Defences against attacks, or ""."""
+        ...
+
+    @property
     def channel(self) -> str:
         """Name of the channel."""
         ...
@@ -101,7 +106,7 @@ def counted(results: Sequence[Result], failed: bool = False) -> list[Result]:
 def pairs(
     results: Sequence[Result], others: Sequence[Result], any_channel: bool = False, failed: bool = False
 ) -> list[tuple[Result, Result]]:
-    """Return the counted results of one scenario, seed, corruption, severity, corrupted agents, faults and channel.
+    """Return the counted results of one scenario, seed, corruption, severity, agents, faults, defence and channel.
 
     Args:
         any_channel: channels may differ: a perception without helpers has none.
@@ -118,7 +123,7 @@ def pairs(
 def _by_key(results: Sequence[Result], any_channel: bool) -> dict[tuple, Result]:
     found: dict[tuple, Result] = {}
     for one in results:
-        key = (one.scenario, one.seed, one.corruption, one.severity, one.who, one.fault, one.channel)
+        key = (one.scenario, one.seed, one.corruption, one.severity, one.who, one.fault, one.defence, one.channel)
         known = key[: -1 if any_channel else None]
         if known in found:
             raise ValueError(f"two results of {known}")

@@ -4,16 +4,22 @@ import math
 from collections import deque
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dsrc.closed_loop.messages.defences import Defence
+from dsrc.closed_loop.messages.inbox import Inbox
+from dsrc.closed_loop.messages.message import Message, Objects
 from dsrc.closed_loop.perception.senses import Senses
-from dsrc.closed_loop.seen_space import SeenSpace, seen_of
-from dsrc.closed_loop.types import Percept
+from dsrc.closed_loop.seen_space import SeenSpace, View, seen_of
+from dsrc.closed_loop.types import EgoState, Percept, Told
 from dsrc.data.sample import Sample, SampleDetector, make_sample
 from dsrc.faults.fault import Faults
 from dsrc.models.channel import Receiver
 from dsrc.models.device import one_thread
+from dsrc.models.settings import fusion_of
 from dsrc.ops.detections import Detections
 from sensors.corruptions import Condition
 from sensors.frame import Frame
@@ -36,11 +42,12 @@ class DetectorPerception:
         look_ahead_s: reaction time of the stopping distance that the detector's range is shifted ahead to cover, s, by
             half its reach at most; 0: no shift.
         engine: execution of the detector's network, for logs.
-        faults: of the episode; those of sensors and radio act here.
+        faults: of the episode; those of sensors and radio, and attacks, act here.
+        defence: against attacks, see `dsrc.closed_loop.messages.defences`.
 
     Raises:
         SettingsError: `look_ahead_s` is not finite or below 0, or not 0 for a network that encodes each cloud in its
-            agent's own frame.
+            agent's own frame; an attack or a defence of a detector whose agents do not tell boxes.
     """
 
     def __init__(
@@ -54,6 +61,7 @@ class DetectorPerception:
         look_ahead_s: float = 0.0,
         engine: str = "fused",
         faults: Faults = (),
+        defence: Defence = (),
     ) -> None:
         self.detector, self.cooperative, self.channel, self.engine = detector, cooperative, channel, engine
         self.faults = faults
@@ -64,6 +72,10 @@ class DetectorPerception:
             expected = "0 with a network that encodes clouds in the agents' own frames"
             raise SettingsError(complaint("perception", "look_ahead_s", expected, f"{look_ahead_s:g}"))
         self._interval_s, self.look_ahead_s = interval_s, look_ahead_s
+        self.defence, self._inbox = defence, Inbox(faults, defence)
+        if self._inbox.active and not (cooperative and tells_boxes(detector)):
+            expected = "agents that tell boxes, as those of late fusion do, with an attack or a defence"
+            raise SettingsError(complaint("perception", "detector", expected, "one that fuses clouds or features"))
         self._ego_id = -1
         self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
 
@@ -84,6 +96,7 @@ class DetectorPerception:
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode."""
         self.senses.reset(scenario, ego_id, seed)
+        self._inbox.reset(seed, ego_id)
         self._ego_id = ego_id
         self._past.clear()
         interval_s = max(self._interval_s, scenario.step_s)
@@ -114,6 +127,10 @@ class DetectorPerception:
         none = (Boxes.zeros(),) * len(sample.agent_ids)
         return replace(sample, boxes=Boxes.zeros(), agent_boxes=none), links
 
+    def aim(self, ego: EgoState) -> None:
+        """Tell attackers where the ego is and goes."""
+        self._inbox.aim(ego)
+
     def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
         """Return the detected boxes, with scores and classes as detected, without velocities and ids.
 
@@ -121,13 +138,17 @@ class DetectorPerception:
             TypeError: the detector returns something else than `Detections`.
         """
         sample, links = self.sample(before, now, claims)
+        told: tuple[Told, ...] = ()
+        seen = self._seen(sample, links)
         with one_thread():  # workers beside each other would take the cores from one another
-            found = self.detector.detect(sample)
+            if self._inbox.active:
+                found, told, seen = self._read(sample, links)
+            else:
+                found = self.detector.detect(sample)
         if not isinstance(found, Detections):
             name = getattr(self.detector, "name", type(self.detector).__name__)
             raise TypeError(f"{name}.detect: expected Detections, found {type(found).__name__}")
-        world_from_lidar = self._past[0].agent(self._ego_id).sweep.world_from_lidar
-        boxes = found.boxes.transform(world_from_lidar @ invert(sample.ego_from_agent[0]))
+        boxes = found.boxes.transform(self._world_from_sample(sample))
         unknown = np.full(len(boxes), -1, np.int64)
         return Percept(
             time_s=now.time_s,
@@ -135,17 +156,61 @@ class DetectorPerception:
             score=found.score.astype(np.float64),
             velocity=np.full((len(boxes), 2), np.nan),
             links=links,
-            seen=self._seen(sample, links),
+            seen=seen,
+            told=told,
         )
 
     def _seen(self, sample: Sample, links: tuple[Link, ...]) -> SeenSpace:
         """Return the seen space by the sweeps that arrived, each where it is believed to be measured."""
         own = self._past[0].agent(self._ego_id)
+        return seen_of([(own, None), *((sent.agent(agent), pose) for agent, sent, pose in self._sent(sample, links))])
+
+    def _sent(self, sample: Sample, links: tuple[Link, ...]) -> list[tuple[int, Frame, NDArray[np.float64]]]:
+        """Return of each helper whose message arrived its id, the frame that it is of, and its believed LiDAR pose."""
         sent = {link.sender: self._past[self.senses.index - link.sent] for link in links if link.received}
-        world_from_ego = own.sweep.world_from_lidar @ invert(sample.ego_from_agent[0])
+        world_from_ego = self._world_from_sample(sample)
         helpers = zip(sample.agent_ids[1:], sample.ego_from_agent[1:], strict=True)
-        told = [(sent[agent_id].agent(agent_id), world_from_ego @ pose) for agent_id, pose in helpers]
-        return seen_of([(own, None), *told])
+        return [(agent, sent[agent], world_from_ego @ pose) for agent, pose in helpers]
+
+    def _world_from_sample(self, sample: Sample) -> NDArray[np.float64]:
+        world_from_lidar = self._past[0].agent(self._ego_id).sweep.world_from_lidar
+        return world_from_lidar @ invert(sample.ego_from_agent[0])
+
+    def _read(self, sample: Sample, links: tuple[Link, ...]) -> tuple[Detections, tuple[Told, ...], SeenSpace]:
+        """Return the detections of all agents as the ego believes them, what became of them, and the seen space."""
+        self._inbox.check(self.senses.agents[1:])
+        detector: Any = self.detector
+        parts: list[Detections] = detector.detect_each(sample)
+        world_from_sample, ego = self._world_from_sample(sample), self._past[0]
+        senders = [(self._ego_id, ego, ego.agent(self._ego_id).sweep.world_from_lidar), *self._sent(sample, links)]
+        messages = [
+            Message.honest(
+                agent, frame.time_s, pose, _objects(part, world_from_sample), partial(View.of, frame.agent(agent), pose)
+            )
+            for (agent, frame, pose), part in zip(senders, parts, strict=True)
+        ]
+        mail = self._inbox.read(messages[0], messages[1:])
+        # Boxes that nobody changed stay as detected, to the bit.
+        believed = [
+            (_detections(one, world_from_sample) if one.attacked else part)[kept]
+            for one, part, kept in zip(mail.messages, parts, mail.kept, strict=True)
+        ]
+        return detector.joined(believed), mail.told, mail.seen
+
+
+def tells_boxes(detector: SampleDetector) -> bool:
+    """Whether each agent detects alone and tells boxes."""
+    return hasattr(detector, "detect_each") and fusion_of(detector.settings) == "late"
+
+
+def _objects(found: Detections, world_from_sample: NDArray[np.float64]) -> Objects:
+    boxes = found.boxes.transform(world_from_sample)
+    return Objects(boxes, found.score.astype(np.float64), np.full((len(boxes), 2), np.nan))
+
+
+def _detections(message: Message, world_from_sample: NDArray[np.float64]) -> Detections:
+    objects = message.objects
+    return Detections(objects.boxes.transform(invert(world_from_sample)), objects.score.astype(np.float32))
 
 
 def _faulted(spec: ChannelSpec, faults: Faults, interval_s: float, ego_id: int, index: int, sender: int) -> ChannelSpec:

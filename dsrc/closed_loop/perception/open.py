@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
+from dsrc.closed_loop.messages.defences import Defence, parse_defence
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Perception
 from dsrc.data.sample import SampleDetector
@@ -14,7 +15,8 @@ from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, Co
 from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
 
-WITHOUT_SENSOR = ("truth", "sight", "team-sight")
+TEAM_SIGHT = "team-sight"
+WITHOUT_SENSOR = ("truth", "sight", TEAM_SIGHT)
 """Ground truth: no corruption, channel or checkpoint applies."""
 ALONE = "ego"
 """A detector on the ego's sweeps alone."""
@@ -22,6 +24,8 @@ TOGETHER = "team"
 """A detector with helpers."""
 LATE = "late"
 """A detector of each agent alone, and their boxes joined."""
+TELLING = (TEAM_SIGHT, LATE)
+"""Helpers tell boxes, in which they can lie."""
 MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
 
@@ -45,6 +49,7 @@ def open_perception(
     engine: str = "auto",
     device: Literal["cpu", "cuda"] = "cpu",
     fault: str | Faults = (),
+    defence: str | Defence = (),
     who: CorruptedAgents | str | None = None,
 ) -> Perception:
     """Return a perception by name.
@@ -75,6 +80,7 @@ def open_perception(
             `engine` is what runs.
         device: of the network.
         fault: faults of the episode, see `dsrc.faults.fault`.
+        defence: against helpers that lie, see `dsrc.closed_loop.messages.defences`: names between commas.
         who: former name of `corrupted_agents`.
 
     Raises:
@@ -92,13 +98,20 @@ def open_perception(
     corrupted = condition.checked().kind != CLEAN
     faults = parse_faults(fault, "perception") if isinstance(fault, str) else fault
     require_apart([*([Fault.of(condition)] if corrupted else []), *faults], "perception")
+    defences = parse_defence(defence, "perception") if isinstance(defence, str) else defence
+    if name not in TELLING:
+        attack = next((f"fault '{one.text}'" for one in faults if one.attack), "defence" if defences else "")
+        if attack:
+            expected = f"a perception whose helpers tell boxes, {' or '.join(TELLING)}"
+            raise SettingsError(complaint("perception", attack, expected, text))
     sensed = any(one.needs for one in faults)
     if name in WITHOUT_SENSOR:
         given = {"corruption": corrupted, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
-        given["fault"] = sensed
+        given["fault"] = any(one.needs and not one.attack for one in faults)
         _refuse(text, "a sensor", given)
-        truth = TruthPerception() if name == "truth" else SightPerception(cooperative=name == "team-sight")
-        return _with(truth, faults)
+        if name == "truth":
+            return _with(TruthPerception(), faults)
+        return SightPerception(cooperative=name == TEAM_SIGHT, faults=faults, defence=defences)
     if name == MODELLED:
         _refuse(text, "a sensor", {"fault": sensed})
         return _with(_modelled(text, Path(file) if file else checkpoint, condition, channel), faults)
@@ -130,6 +143,7 @@ def open_perception(
         look_ahead_s=look_ahead_s,
         engine=engine,
         faults=faults,
+        defence=defences,
     )
 
 

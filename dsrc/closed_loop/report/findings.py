@@ -49,7 +49,8 @@ def counted_causes(
 
 def causes_csv(results: Sequence[EpisodeResult], causes: Mapping[str, Cause]) -> str:
     """Return the causes as CSV, a line per crash."""
-    named = ("scenario", "perception", "corruption", "severity", "who", "channel", "fault", "seed", "key")
+    named = ["scenario", "perception", "corruption", "severity", "who", "channel", "fault", "seed", "key"]
+    named += ["defence"] if any(one.defence for one in results) else []
     rows = [
         {name: getattr(one, name) for name in named} | msgspec.to_builtins(causes[one.key])
         for one in results

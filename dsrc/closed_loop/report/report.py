@@ -90,6 +90,7 @@ def publish_report(result: CampaignResult, out: Path, document: Path, more: Find
 def markdown(result: CampaignResult, more: Findings = NOTHING) -> str:
     """Return the report of a campaign."""
     disturbed = "with a fault" if any(one.fault for one in result.results) else "corrupted"
+    disturbed += " or defended" if any(one.defence for one in result.results) else ""
     driven = {
         what: sorted({one.seed for one in result.results if one.clean == clean})
         for what, clean in (("clean", True), (disturbed, False))
@@ -129,7 +130,7 @@ def _plots(result: CampaignResult, more: Findings) -> "dict[str, Callable[[], Fi
 
     common, apart = parts_of(result)
     whole = common or apart
-    plan, every = result.plan, [one for one in whole if not one.fault]
+    plan, every = result.plan, [one for one in whole if not one.fault and not one.defence]
     severity = plan.severity[len(plan.severity) // 2]
     one_channel = [one for one in every if one.channel == plan.radios[0]]
     shown = [one for one in one_channel if one.corruption == CLEAN or one.severity == severity]

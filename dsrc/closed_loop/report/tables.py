@@ -22,7 +22,7 @@ from dsrc.closed_loop.metrics.comparison import (
     pairs,
 )
 from dsrc.closed_loop.metrics.statistics import PairedRates, mean, paired_rates, rate
-from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR
+from dsrc.closed_loop.perception.open import ALONE, TELLING, WITHOUT_SENSOR
 from dsrc.closed_loop.report.cells import (
     COLUMNS,
     HARSH_MPS2,
@@ -35,6 +35,7 @@ from dsrc.closed_loop.report.cells import (
 )
 from dsrc.closed_loop.report.findings import NOTHING, Findings, counted_causes
 from dsrc.closed_loop.report.gate import GATE_NAMES
+from dsrc.closed_loop.report.lies import LIE_HEADS, lie_rows
 from dsrc.closed_loop.report.scores import HAZARD_HEADS, SCORE_HEADS, hazard_rows, score_rows
 from dsrc.closed_loop.types import Outcome
 from dsrc.tables.table import Column, Strong, Table, TableRow
@@ -52,6 +53,7 @@ NAMES = {
     "pace": "Time and braking at equal safety",
     "scores": "Scores, time and comfort",
     "hazards": "Routes with and without their hazard",
+    "lies": "Attacks and defences",
     "robustness": "Closed-loop corruption error",
     "reasons": "Causes of crashes",
     "causes": "What came late",
@@ -91,6 +93,7 @@ def tables(result: CampaignResult, more: Findings = NOTHING) -> dict[str, Table]
         _pace(result.plan, of_first[0]),
         _scores(common),
         _hazards(common),
+        _lies(result),
         _robustness(result.plan, of_first[0]),
         _reasons(result.results, more),
         _causes(of_first[0]),
@@ -373,6 +376,20 @@ def _hazards(results: Sequence[EpisodeResult]) -> Table:
         "Fail2Drive pairs routes. Time: pairs in which both arrive."
     )
     return _table("hazards", HAZARD_HEADS, hazard_rows(results), text, left=3)
+
+
+def _lies(result: CampaignResult) -> Table:
+    """Table of what attacks did and what defences refused, of campaigns with either."""
+    text = (
+        "Of the perceptions whose helpers tell boxes. Crashed: of the episodes that met their encounter. Needless "
+        "stops: episodes in which the ego came to stand for a road user that is not there. Attacks refused: of the "
+        "false objects told, those refused. Wrongly refused: of the helpers that did not lie, one each episode, those "
+        "of whom an object was refused. In brackets the interval of 95 %: Wilson's of shares of episodes and helpers, "
+        "bootstrap (BCa) over episodes of attacks refused."
+    )
+    telling = {one.name for one in result.plan.perceptions if one.kind in TELLING}
+    own = [one for one in result.results if one.perception in telling] if result.plan.lies else []
+    return _table("lies", LIE_HEADS, lie_rows(own), text, left=3)
 
 
 def _alone(plan: Campaign) -> str | None:

@@ -44,6 +44,7 @@ def _eyes(log: EpisodeLog, with_driver: bool) -> str:
     text = parse_perception(settings.perception).name
     text += "" if settings.corruption == CLEAN else f" in {settings.condition.label}"
     text += f" with {settings.fault}" if settings.fault else ""
+    text += f" defended by {settings.defence}" if settings.defence else ""
     text += "" if settings.channel == IDEAL else f", {settings.channel}"
     return f"{text}, {settings.driver}" if with_driver else text
 

@@ -1,0 +1,171 @@
+"""Attacks: helpers that lie in their messages, in boxes and poses.
+
+A liar knows where the ego is and its route, as the ego's own messages tell them. Liars of one attack are of one mind:
+their ghost stands at one place. They lie about objects and poses, not about the space that they see; that of a false
+pose is as misplaced as its objects, that of a replay as old.
+"""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.closed_loop.messages.message import Message, Objects
+from dsrc.closed_loop.seen_space import View
+from dsrc.closed_loop.types import EgoState
+from dsrc.faults.fault import Fault, Faults
+from dsrc.faults.kinds import Bias, Ghost, Remove, Seconds
+from dsrc.faults.localisation import believed_from_true, pose_error
+from sim.boxes import Boxes
+from sim.rows import stacked
+from sim.streams import Stream, random_generator
+from sim.traffic.base import POSITION_M, from_steps
+
+_CAR_M = (4.5, 1.9, 1.5)
+"""Length, width and height of a ghost, m."""
+_MOVED_M = 0.5
+"""Distance from every honest object beyond which a told one is false, m."""
+_SLACK_S = 1e-6
+
+
+class Attacks:
+    """Attacks of an episode, each acting on what those before it left.
+
+    Args:
+        faults: those that are no attacks do not matter.
+        seed: of the episode.
+    """
+
+    def __init__(self, faults: Faults, seed: int, ego_id: int) -> None:
+        self._faults = tuple(one for one in faults if one.attack)
+        self._seed, self._ego_id = seed, ego_id
+        self._ghosts: dict[int, Boxes] = {}
+        self._keep_s = max([one.value for one in self._faults if one.kind == "replay"], default=0.0)
+        self._past: dict[int, deque[Message]] = {}
+
+    def aim(self, ego: EgoState, time_s: float) -> None:
+        """Tell the liars where the ego is and goes; a ghost that it has passed stands ahead of it again.
+
+        Args:
+            time_s: of the episode.
+        """
+        # As a log has it, so that its replay has the same ghosts.
+        ego = replace(ego, route=from_steps(np.rint(ego.route / POSITION_M), POSITION_M))
+        self._route = ego.route
+        for number, fault in enumerate(self._faults):
+            if not isinstance(fault.settings, Ghost):
+                continue
+            if not fault.at(time_s) or (number in self._ghosts and _passed(ego, self._ghosts[number])):
+                self._ghosts.pop(number, None)
+            if fault.at(time_s) and number not in self._ghosts:
+                ghost = _standing(ego, fault.settings.ahead_m)
+                self._ghosts |= {} if ghost is None else {number: ghost}
+
+    def written(self, message: Message, time_s: float) -> Message:
+        """Return what a helper sends in place of its message of a time of the episode.
+
+        Args:
+            message: honest; the messages of a sender come in their order.
+        """
+        if not self._faults:
+            return message
+        past = self._past.setdefault(message.sender, deque())
+        if not past or past[-1].time_s < message.time_s:
+            past.append(message)
+        while len(past) > 1 and past[1].time_s <= message.time_s - self._keep_s + _SLACK_S:
+            past.popleft()
+        sent = message
+        for number, fault in enumerate(self._faults):
+            if fault.at(time_s) and fault.on(message.sender, self._ego_id) and self._drawn(fault, message, time_s):
+                sent = self._changed(number, fault, sent, time_s)
+        if sent is message:
+            return message
+        moved = ~_within(sent.objects.boxes, message.objects.boxes, _MOVED_M)
+        return replace(sent, attacked=True, false=moved)
+
+    def _drawn(self, fault: Fault, message: Message, time_s: float) -> bool:
+        if not isinstance(fault.settings, Ghost | Remove):
+            return True
+        rng = random_generator(self._seed, Stream.FAULT, fault.kind, 1 + round(1e3 * time_s), message.sender)
+        return float(rng.random()) < fault.settings.share
+
+    def _changed(self, number: int, fault: Fault, message: Message, time_s: float) -> Message:
+        settings = fault.settings
+        if isinstance(settings, Ghost):
+            if number not in self._ghosts:
+                return message
+            ghost = Objects(self._ghosts[number], np.ones(1), np.zeros((1, 2)))
+            return replace(message, objects=stacked(message.objects, ghost))
+        if isinstance(settings, Remove):
+            left = _aside(message.objects.boxes, self._route) > settings.aside_m
+            return message if left.all() else replace(message, objects=message.objects[left])
+        if isinstance(settings, Bias):
+            error = pose_error((fault,), self._seed, message.sender, self._ego_id, time_s)
+            return _misplaced(message, believed_from_true(message.pose, error)) if error.any() else message
+        if isinstance(settings, Seconds):
+            return self._old(message, settings.seconds)
+        raise TypeError(fault.kind)
+
+    def _old(self, message: Message, age_s: float) -> Message:
+        """Return the newest message at least so old, else the oldest one, with the stamp of this one."""
+        past = self._past[message.sender]
+        old = [one for one in past if one.time_s <= message.time_s - age_s + _SLACK_S]
+        again = old[-1] if old else past[0]
+        if again.time_s >= message.time_s:
+            return message
+
+        def view() -> View:
+            return replace(again.view(), time_s=message.time_s)
+
+        return replace(again, time_s=message.time_s, view=view)
+
+
+def _standing(ego: EgoState, ahead_m: float) -> Boxes | None:
+    """Return a car on the ego's route so far ahead; None where the route ends before."""
+    steps = np.diff(ego.route, axis=0)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
+    if along[-1] < ahead_m:
+        return None
+    x, y = (np.interp(ahead_m, along, axis) for axis in ego.route.T)
+    step = steps[min(int(np.searchsorted(along, ahead_m, side="right")) - 1, len(steps) - 1)]
+    ground = ego.box.center[0, 2] - 0.5 * ego.box.size[0, 2]
+    return Boxes.from_array([x, y, ground + 0.5 * _CAR_M[2], *_CAR_M, np.arctan2(step[1], step[0])])
+
+
+def _passed(ego: EgoState, ghost: Boxes) -> bool:
+    """Whether a ghost is behind the ego."""
+    heading = [np.cos(ego.box.yaw[0]), np.sin(ego.box.yaw[0])]
+    return bool((ghost.center[0, :2] - ego.box.center[0, :2]) @ heading < 0.0)
+
+
+def _aside(boxes: Boxes, route: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N,) distances of centres from a (K, 2) polyline, m; infinity without one."""
+    if len(route) < 2:
+        return np.full(len(boxes), np.inf)
+    begin, step = route[:-1], np.diff(route, axis=0)
+    offset = boxes.center[:, None, :2] - begin
+    share = np.einsum("nkd,kd->nk", offset, step) / np.maximum((step**2).sum(axis=1), 1e-12)
+    foot = offset - np.clip(share, 0.0, 1.0)[..., None] * step
+    return np.asarray(np.linalg.norm(foot, axis=2).min(axis=1))
+
+
+def _within(boxes: Boxes, others: Boxes, least_m: float) -> NDArray[np.bool_]:
+    """Return (N,) whether another box has its centre within a distance."""
+    if not len(others):
+        return np.zeros(len(boxes), bool)
+    apart = np.linalg.norm(boxes.center[:, None, :2] - others.center[None, :, :2], axis=2)
+    return np.asarray((apart <= least_m).any(axis=1))
+
+
+def _misplaced(message: Message, believed: NDArray[np.float64]) -> Message:
+    """Return a message of an agent that says to be elsewhere: all that it tells moves with it."""
+    objects, turn = message.objects, believed[:2, :2]
+
+    def view() -> View:
+        own = message.view()
+        place = believed @ [*own.xy, 0.0, 1.0]
+        return replace(own, xy=place[:2], yaw=own.yaw + float(np.arctan2(turn[1, 0], turn[0, 0])))
+
+    moved = replace(objects, boxes=objects.boxes.transform(believed), velocity=objects.velocity @ turn.T)
+    return replace(message, pose=believed @ message.pose, objects=moved, view=view)
