@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
-from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Tracks
+from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Told, Tracks
 from sim.boxes import Boxes
 from sim.contact import Contact
 from sim.errors import DataError
@@ -67,6 +67,7 @@ def full_log(rng: np.random.Generator | None = None) -> EpisodeLog:
         lost = replace(link, sender=1002, sent=-1, age_s=math.nan, delay_s=math.nan, arrived=np.zeros(11, bool))
         lost = replace(lost, held=True, offered=70_000)
         seen = Percept(tick.actors.time_s - 0.1, boxes_of(rng, n), rng.random(n), velocity, (link, lost)[: step % 3])
+        seen = replace(seen, told=(Told(-1, 5, 2, 3, 1, True), Told(1002, 4, 0, 0, 0, False))[: step % 3])
         ids = sorted(rng.choice(20, n, replace=False).tolist())
         tracks = Tracks(
             tick.actors.time_s, boxes_of(rng, n, ids), rng.normal(size=(n, 2)), *(rng.random(n) for _ in range(4))
@@ -87,6 +88,7 @@ def full_log(rng: np.random.Generator | None = None) -> EpisodeLog:
     settings = EpisodeSettings(
         scenario=SCENARIO, seed=3, ego_id=EGO_ID, perception="dsrc.pt", corruption="fog", severity=3,
         channel="its-g5-6", loop={"duration_s": 20.0}, route_m=74.5, versions={"numpy": "2"},
+        fault="ghost:1", defence="motion",
     )  # fmt: skip
     return EpisodeLog(settings, before, ticks, Outcome.CRASHED, "")
 
@@ -205,6 +207,8 @@ def test_damaged_logs_are_told_in_one_line(tmp_path: Path) -> None:
         "contact": {"contact/ids": columns["contact/ids"] + 100},
         "flat": {"percept/present": columns["percept/present"][:, None]},
         "steps": {"decision/track": columns["decision/track"][:-1]},
+        "told": {"told": columns["told"] + 100},
+        "toldless": {"told": columns["told"][:, 1:]},
     }
     for name, change in wrong.items():
         np.savez(tmp_path / f"{name}.npz", **{**columns, **change})
@@ -213,7 +217,7 @@ def test_damaged_logs_are_told_in_one_line(tmp_path: Path) -> None:
         with pytest.raises(DataError) as caught:
             EpisodeLog.load(tmp_path / name)
         assert name in str(caught.value) and "\n" not in str(caught.value), name
-    for name in sorted(set(columns) - {"link/held", "link/offered"}):
+    for name in sorted(set(columns) - {"link/held", "link/offered", "told"}):
         np.savez(tmp_path / "less.npz", **{key: value for key, value in columns.items() if key != name})
         with pytest.raises(DataError, match=r"less\.npz"):
             EpisodeLog.load(tmp_path / "less.npz")

@@ -399,3 +399,53 @@ def test_a_plan_says_faults_in_the_same_words(tmp_path: Path) -> None:
         SettingsError, match=r"plan.toml: fault 'fog:7 from 4 s on helpers', severity: expected a whole number, 1 to 5"
     ):
         read_campaign(path)
+
+
+def defended(perception: tuple[str, ...] = ("truth", "team-sight"), **options: Any) -> list[tuple[str, str, str]]:
+    """Perception, faults and defence of the episodes of a command line."""
+    jobs = episodes_of(campaign_of(DriveOptions(what="ima_building", perception=perception, **options)))
+    return [(job.perception, faults_text(job.faults), ",".join(job.defence)) for job in jobs]
+
+
+def test_each_defence_is_driven_with_each_attack_where_helpers_tell_boxes() -> None:
+    assert defended(fault=("ghost", "latency:0.2"), defence=("none", "trust,motion")) == [
+        ("truth", "", ""),
+        ("truth", "latency:0.2", ""),
+        *(("team-sight", text, name) for text in ("", "ghost:1", "latency:0.2") for name in ("", "motion,trust")),
+    ]
+    assert defended(("ego", "late"), fault=("replay:1",)) == [
+        ("ego", "", ""),
+        ("late", "", ""),
+        ("late", "replay:1", ""),
+    ]
+
+
+def test_a_defence_is_another_episode_and_none_is_the_same_as_without() -> None:
+    def keys(**options: Any) -> list[str]:
+        asked = DriveOptions(what="ima_building", perception=("team-sight",), **options)
+        return [episode_key(job) for job in episodes_of(campaign_of(asked))]
+
+    plain = keys()
+    assert keys(defence=("none",)) == plain == keys(fault=("ghost",))[:1]
+    assert len({*plain, *keys(defence=("none", "motion", "free-space", "free-space,motion"))}) == 4
+    assert keys(defence=("motion,free-space",)) == keys(defence=("free-space, motion",))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"defence": ("moton",)}, "drive: defence: expected none, or one of .* found moton; did you mean 'm"),
+        ({"defence": ("trust",)}, "drive: defence: expected another one beside trust"),
+        ({"defence": ("motion,trust", "trust,motion")}, "defence: expected texts that differ, found motion,trust"),
+        (
+            {"defence": ("motion",), "perception": ("team", "truth")},
+            "drive: defence 'motion': expected a perception whose helpers tell boxes, team-sight or late, found team",
+        ),
+        ({"fault": ("ghost",), "perception": ("team",)}, "team-sight or late, whose helpers tell boxes, found team"),
+        ({"fault": ("ghost on ego",)}, "fault 'ghost on ego': expected helpers or their ids after 'on', found ego"),
+    ],
+)
+def test_a_wrong_defence_or_attack_is_told_in_one_line(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError, match=message) as error:
+        campaign_of(DriveOptions(**{"what": "ima_building", "perception": ("team-sight",), **options}))
+    assert "\n" not in str(error.value)

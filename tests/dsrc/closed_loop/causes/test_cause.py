@@ -9,7 +9,7 @@ import pytest
 from dsrc.closed_loop.causes.braking import braked_way, last_chance
 from dsrc.closed_loop.causes.cause import Cause, cause_of
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Tracks
+from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Told, Tracks
 from sim.contact import Contact, first_contact
 from sim.traffic.base import Actors
 from tests.dsrc.closed_loop.logged import EGO_ID, LIMITS, Mover, actors_at, ahead, episode, no_tracks, percept_of
@@ -144,6 +144,16 @@ def test_a_false_report_that_the_driver_drove_for_is_named_by_its_helper() -> No
     # The same decision without a report is nobody's lie.
     honest = crash(change=lambda t: replace(told(t), claims={}), movers=movers, side="rear", at_fault=False)
     assert found(honest).kind == "hit from behind"
+
+    def attacked(tick: Tick, caught: int) -> Tick:
+        said = tuple(Told(helper, 3, 2, caught, caught, True) for helper in (1002, -1))
+        assert tick.percept is not None
+        return replace(told(tick), claims={}, percept=replace(tick.percept, told=said))
+
+    lie, refused = (
+        found(crash(change=lambda t, n=n: attacked(t, n), movers=movers, side="rear", at_fault=False)) for n in (1, 2)
+    )
+    assert "told wrongly by helpers 1002 and -1:" in lie.sentence and refused.kind == "hit from behind"
 
 
 def test_the_world_and_a_rear_end_have_causes_of_their_own_and_an_arrival_none() -> None:

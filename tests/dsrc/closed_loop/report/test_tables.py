@@ -116,3 +116,28 @@ def test_without_an_encounter_there_is_nobody_to_see() -> None:
 
 def test_without_results_there_are_no_tables() -> None:
     assert not tables_of()
+
+
+def test_attacks_and_defences_are_a_table_of_who_stopped_and_who_was_refused() -> None:
+    plan = replace(PLAN, perceptions=(PerceptionSpec(name="team-sight"),), fault=("ghost",), defence=("none", "motion"))
+    told = {"needless_stops": 0.0, "helpers_honest": 2.0, "helpers_wronged": 0.0, "false_told": 0.0}
+    lie = told | {"helpers_honest": 1.0, "false_told": 10.0, "false_refused": 5.0}
+    stuck = lie | {"needless_stops": 1.0, "false_refused": 0.0}
+    defended = {"fault": "ghost:1", "defence": "free-space,motion"}
+    results = [
+        one("team-sight", 0, "arrived", needless_stops=0.0),
+        replace(one("team-sight", 0, "stuck", **stuck), fault="ghost:1"),
+        *(
+            replace(one("team-sight", seed, "arrived", **(lie | {"helpers_wronged": seed})), **defended)
+            for seed in range(2)
+        ),
+    ]
+    heads, *rows = tables_of(*results, plan=plan)["lies"]
+    cells = [dict(zip(heads, row, strict=True)) for row in rows]
+    assert [(row["attack"], row["defence"], row["episodes"]) for row in cells] == [
+        ("clean", "none", "1"), ("ghost:1", "none", "1"), ("ghost:1", "free-space, motion", "2"),
+    ]  # fmt: skip
+    assert [row["needless stops"].partition(" [")[0] for row in cells] == ["0 %", "100 %", "0 %"]
+    assert [row["attacks refused"].partition(" [")[0] for row in cells] == ["", "0 %", "50 %"]
+    assert [row["wrongly refused"].partition(" [")[0] for row in cells] == ["", "0 %", "50 %"]
+    assert "lies" not in tables_of(*RESULTS)
