@@ -235,10 +235,14 @@ def _anticipation() -> Iterator[tuple[str, str]]:
 
 def _real() -> Iterator[tuple[str, str]]:
     """Yield what a shipped detector finds in real frames and in simulated ones."""
-    real, ours, _ = _rows(ROOT / "studies/shipped/real_frames.csv")
+    rows = {(row["detector"], row["clouds"]): row for row in _rows(ROOT / "studies/shipped/real_frames.csv")}
+    real, ours = rows["small-plain", "real"], rows["small-plain", "simulated, HDL-64E"]
+    road = rows["road-dsrc", "real, five of the 17"]
     yield "real_frames", real["frames"]
     yield "real_recall", f"{real['recall_percent']} %"
     yield "simulated_recall", f"{ours['recall_percent']} %"
+    yield "road_frames", road["frames"]
+    yield "road_recall", f"{road['recall_percent']} %"
 
 
 if __name__ == "__main__":

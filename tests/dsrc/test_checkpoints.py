@@ -21,6 +21,9 @@ TRAINED = dict(reversed(line.split()) for line in HASHES.read_text(encoding="utf
 SHIPPED = {"small-dsrc": "dsrc_s0", "small-plain": "attfuse_s0", "small-dsrc-corrupted": "dsrc-corrupted_s0"}
 """Training of the campaign that each shipped detector of vehicles is."""
 
+ROAD = [("road-dsrc", "attention", True), ("road-dsrc-alone", "none", True), ("road-plain", "attention", False)]
+"""Detectors for real roads: name, fusion, and whether they were distilled."""
+
 
 @pytest.mark.parametrize(("name", "training"), SHIPPED.items())
 def test_a_shipped_detector_is_that_of_its_training(name: str, training: str) -> None:
@@ -36,6 +39,13 @@ def test_a_shipped_detector_loads_as_a_student(name: str, switches: bool) -> Non
     assert (settings.sdd, settings.pcp, settings.rec) == (switches,) * 3
 
 
+@pytest.mark.parametrize(("name", "fusion", "distilled"), ROAD)
+def test_a_detector_for_real_roads_reads_heights_above_the_ground(name: str, fusion: str, distilled: bool) -> None:
+    settings = load_detector(FOLDER / f"{name}.pt").settings
+    assert (settings.role, settings.height, settings.fusion) == ("student", "ground", fusion)
+    assert (settings.sdd, settings.pcp, settings.rec) == (distilled,) * 3
+
+
 def test_the_joined_detector_has_the_shipped_network_for_vehicles_and_one_for_other_road_users() -> None:
     joined = load_joined(FOLDER / "small-dsrc-vulnerable.pt")
     assert {"car", "pedestrian", "bicycle", "motorcycle"} <= set(joined.classes)
@@ -48,6 +58,9 @@ def test_the_joined_detector_has_the_shipped_network_for_vehicles_and_one_for_ot
 def test_only_shipped_detectors_lie_there() -> None:
     assert sorted(p.name for p in FOLDER.iterdir()) == [
         "README.md",
+        "road-dsrc-alone.pt",
+        "road-dsrc.pt",
+        "road-plain.pt",
         "small-dsrc-corrupted.pt",
         "small-dsrc-vulnerable.pt",
         "small-dsrc.pt",
@@ -57,7 +70,7 @@ def test_only_shipped_detectors_lie_there() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", [*SHIPPED, "road-dsrc", "road-plain"])
 def test_a_shipped_detector_finds_more_vehicles_on_unseen_drives_with_collaborators(
     name: str, unseen: Path, tmp_path: Path
 ) -> None:
