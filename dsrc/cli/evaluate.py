@@ -63,6 +63,7 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
         """Evaluate, write the results and print the table."""
         from rich.console import Console
 
+        from dsrc.evaluation.causes.results import cause_tables
         from dsrc.evaluation.evaluate import evaluate_drives
         from dsrc.evaluation.report.ap_table import result_table
         from sim.files import check_apart
@@ -70,7 +71,7 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
         check_apart(self.out, self.data)
         with progress(f"evaluate {self.data}") as report:
             rows = evaluate_drives(self, self.pool, report)
-        Console(highlight=False).print(result_table(rows))
+        Console(highlight=False).print(result_table(rows), *cause_tables(self.out))
         made(self.out, "results, plots and all detections", "view", self.out)
 
 

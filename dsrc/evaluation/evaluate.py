@@ -7,6 +7,7 @@ from pathlib import Path
 from dsrc.data.drives import open_drives
 from dsrc.detectors.levelled import height_in_use
 from dsrc.evaluation.cache import read_cell
+from dsrc.evaluation.causes.results import write_causes
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
 from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.figures.bars import corruption_bars
@@ -31,8 +32,8 @@ EGO_ALONE = "ego alone"
 def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress | None = None) -> list[Row]:
     """Evaluate detectors, write results, plots and the index of detections; resume what is cached.
 
-    The files are `results.csv`, `results.json`, `timings.csv`, `detections.json` and PNGs; `mce_map.png` needs a
-    corruption.
+    The files are `results.csv`, `results.json`, `causes.csv`, `timings.csv`, `detections.json` and PNGs; `mce_map.png`
+    needs a corruption.
 
     The results and plots are the same for the same settings; times are in `timings.csv` alone.
 
@@ -56,6 +57,7 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
     summaries = summary_rows(rows)
     write_results(config.out, made_by, [*entries, *_summary_entries(entries, summaries)])
     write_index(config.out, stored_index(result, entries))
+    write_causes(config.out, made_by, entries, config.seed)
     rows += summaries
     figures = {
         "ap_per_corruption": corruption_bars(rows),

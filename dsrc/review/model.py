@@ -171,6 +171,10 @@ class ReviewModel(Judgements):
         elif isinstance(view.details, ObjectDetails) and view.labelled:
             verdict, score, iou = verdict_on(view.details.object_id, found.truth, matches, state.threshold)
             view = replace(view, details=replace(view.details, verdict=verdict, score=score, iou=iou))
+        if isinstance(view.details, DetectionDetails) or getattr(view.details, "verdict", "") == "missed":
+            why = self.cause(state)
+            said = "" if why is None else f"{why.kind}: {why.sentence}"
+            view = replace(view, details=replace(view.details, cause=said))  # type: ignore[type-var]
         if not view.labelled:
             return replace(view, detected=kept, layers={**view.layers, UNJUDGED: boxes}, ranks={UNJUDGED: rank})
         tp = matches.tp[:kept]

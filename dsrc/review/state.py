@@ -66,6 +66,7 @@ class ReviewState:
         error_class: class of the listed objects, "" for all.
         error_range: distance of the listed errors.
         error_seen_by: who has points on the listed objects, of `SEERS`; "" for all.
+        gallery: whether the listed errors are drawn, grouped by cause.
     """
 
     drive: int = 0
@@ -100,6 +101,7 @@ class ReviewState:
     error_class: str = ""
     error_range: Band = "any"
     error_seen_by: str = ""
+    gallery: bool = False
 
 
 _OF_CORRUPTION = ("corruption", "severity", "family")

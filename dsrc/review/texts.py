@@ -86,7 +86,7 @@ def _object_card(details: ObjectDetails) -> str:
     detected = ""
     if details.verdict:
         match = "" if math.isnan(details.score) else f", score {details.score:.2f}, IoU {details.iou:.2f}"
-        detected = f"\n\n**{details.verdict}**{match}"
+        detected = f"\n\n**{details.verdict}**{match}{_why(details.cause)}"
     rows = "\n".join(
         f"| {s.agent} | {s.points}{'' if s.points == s.points_left else f' → {s.points_left}'} "
         f"| {'–' if math.isnan(s.fraction) else f'{100 * s.fraction:.0f} %'} |"
@@ -104,7 +104,11 @@ def _detection_card(details: DetectionDetails) -> str:
     rows = "\n".join(f"| {agent} | {points} |" for agent, points in details.points)
     place = f"{_size(details.size)} · {details.distance_m:.1f} m away"
     table = f"| | points in the box |\n|:--|--:|\n{rows}"
-    return f"{head}{verdict}\n\n{nearest} · {place}\n\n{table}{_shares(details.shares)}"
+    return f"{head}{verdict}{_why(details.cause)}\n\n{nearest} · {place}\n\n{table}{_shares(details.shares)}"
+
+
+def _why(cause: str) -> str:
+    return f"\n\n{quoted(cause)}" if cause else ""
 
 
 def _shares(shares: Sequence[AgentShare]) -> str:

@@ -112,6 +112,7 @@ class ObjectDetails:
         verdict: `detected`, `missed`, `not evaluated`; "" without a detector.
         score: of its detection; NaN without one.
         iou: with its detection; NaN without one.
+        cause: why it is missed, "" where it is not.
         shares: of the agents in its detection, the ego's first; empty where unknown.
     """
 
@@ -128,6 +129,7 @@ class ObjectDetails:
     verdict: str = ""
     score: float = math.nan
     iou: float = math.nan
+    cause: str = ""
     shares: tuple[AgentShare, ...] = ()
 
 
@@ -145,6 +147,7 @@ class DetectionDetails:
         object_id: the matched object, for a false positive the one that it overlaps most; None without overlap.
         iou: with that object; 0 without overlap.
         points: points of each agent in the box, as drawn: (displayed name, number).
+        cause: why it is false, "" where it is not.
         shares: of the agents in it, the ego's first; empty where unknown.
     """
 
@@ -157,6 +160,7 @@ class DetectionDetails:
     object_id: int | None
     iou: float
     points: tuple[tuple[str, int], ...]
+    cause: str = ""
     shares: tuple[AgentShare, ...] = ()
 
 

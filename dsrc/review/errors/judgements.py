@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from dsrc.data.drives import Drive
 from dsrc.data.sample import SampleDetector
+from dsrc.evaluation.causes.cause import Circumstances, ErrorCause, frame_causes
 from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.ops.detections import Detections
 from dsrc.review.errors.changes import ObjectChanges, changes
@@ -16,6 +17,7 @@ from dsrc.review.matching import Counts, RankedMatches, ranked_matches
 from dsrc.review.sources.base import DetectionSet, Setup, Source
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import ReviewState
+from sensors.corruptions import CLEAN
 from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint, did_you_mean
@@ -25,6 +27,7 @@ DETECTOR = "detector"
 
 _DETECTIONS_KEPT = 4096
 _RUNS_KEPT = 64
+_PICTURES_KEPT = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +47,11 @@ class FrameDetections:
 
 
 class Judgements(Recordings):
-    """Detections of the sources, judged."""
+    """Detections of the sources, judged.
+
+    Attributes:
+        drawn: pictures of errors, by all that they show: kind of the cause, sentence, SVG.
+    """
 
     def __init__(self, sources: Sequence[Source | Drive], detector: SampleDetector | None = None) -> None:
         """Judge sources or drives.
@@ -61,6 +68,7 @@ class Judgements(Recordings):
                 source.sets[DETECTOR] = ComputedSet(DETECTOR, detector)
         self._judged: LatestUsed[FrameDetections] = LatestUsed(_DETECTIONS_KEPT)
         self._runs: LatestUsed[JudgedRun] = LatestUsed(_RUNS_KEPT)
+        self.drawn: LatestUsed[tuple[str, str, str]] = LatestUsed(_PICTURES_KEPT)
 
     @property
     def has_detector(self) -> bool:
@@ -85,6 +93,36 @@ class Judgements(Recordings):
         method = self.method(state)
         found = self._detections(state, method) if method and self.labelled(state.drive) else None
         return None if found is None else found.at(state.iou).counts(state.threshold)
+
+    def shown_frame(self, state: ReviewState) -> Frame:
+        """Frame of a state, corrupted as it says."""
+        return self._frame(state)
+
+    def causes(self, state: ReviewState) -> list[ErrorCause]:
+        """Causes of the judged method's errors in a frame; empty where nothing is judged, or no agent has a point."""
+        method, setup = self.method(state), self.setup(state)
+        if not method or not self.labelled(state.drive):
+            return []
+        own, clean = self.sources[state.drive].sets[method], self.stores[state.drive].recorded(state.frame)
+        table = self._table(own, state, setup)
+        if table is None or not clean.points_on.any():
+            return []
+        run = getattr(own, "runs", {}).get(setup.condition)
+        alone = not setup.cooperative if not own.recorded else run is not None and run.agents == 1
+        known = Circumstances(
+            condition=setup.condition.label if setup.condition.kind != CLEAN else "",
+            corrupted=self._frame(state),
+            team=(int(table.ego_id[0]),) if alone else None,
+        )
+        return frame_causes(table, clean, state.threshold, state.iou, known)
+
+    def cause(self, state: ReviewState) -> ErrorCause | None:
+        """Cause of the selected error; None where none is selected."""
+        error, chosen = ("missed", state.object_id) if state.detection is None else ("false", state.detection)
+        for one in self.causes(state):
+            if one.error == error and chosen == (one.object_id if error == "missed" else one.rank):
+                return one
+        return None
 
     def index(self, state: ReviewState) -> ErrorIndex:
         """Errors of the run under a state, of all its methods, in the frames whose detections are known."""

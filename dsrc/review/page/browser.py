@@ -61,7 +61,7 @@ Storage.prototype.setItem=function(key,value){
  if(window.parent!==window)window.parent.postMessage({review:value||''},location.origin);};
 })();
 """.replace("__LINK_KEY__", LINK_KEY).replace("__OPEN_KEY__", OPEN_KEY)
-# viser sends its camera when it is connected after a loss; with a connection that follows another it has to be asked to.
+# viser sends its camera when it is connected after a loss; with a connection that follows another it has to be asked.
 # viser's own command writes to the storage, wherever the panels are; the script takes the link out of its way.
 
 _KEYS = """

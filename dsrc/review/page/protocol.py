@@ -9,6 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from dsrc.review.errors.gallery import Picture
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import NoteBook
 from dsrc.review.errors.overview import Overview
@@ -88,6 +89,9 @@ class Page(Protocol):
 
     def overview(self, state: ReviewState) -> Overview:
         """Overview of the run under a state, as far as it is computed."""
+
+    def gallery(self, state: ReviewState) -> list[Picture]:
+        """Pictures of the worst listed errors, as far as they are made."""
 
     def detect_all(self) -> None:
         """Detect in the background, in all frames, what the report of the state lacks."""

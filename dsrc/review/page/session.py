@@ -12,6 +12,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from dsrc.review.errors.gallery import Gallery, Picture
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.overview import Overview, Overviews
 from dsrc.review.errors.report import Reports, RunReport, place_of, selection_of, to_detect
@@ -85,7 +86,7 @@ class Session:
         self.last_corruption = "" if state.corruption == CLEAN else state.corruption
         self.last_parameters = state.parameters
         self.using_model, self.worker, self.notes = using_model, worker, model.notes
-        self._reports, self._overviews = Reports(model), Overviews(model)
+        self._reports, self._overviews, self._gallery = Reports(model), Overviews(model), Gallery(model)
         # A link that says what is selected and not from where it is seen looks at it.
         self._looks = pose is None and (state.object_id is not None or state.detection is not None)
         self.pair: CellPair | None = None
@@ -188,6 +189,14 @@ class Session:
             found = self._overviews.of(state)
         self._busy |= not found.whole
         return found
+
+    def gallery(self, state: ReviewState) -> list[Picture]:
+        """Pictures of the worst listed errors, as far as they are made."""
+        report = self.report(state, 2.0)
+        with self.using_model:
+            made, whole = self._gallery.of(state, report)
+        self._busy |= not whole
+        return list(made)
 
     def detect_all(self) -> None:
         """Detect in the background, in all frames, what the report of the state lacks."""

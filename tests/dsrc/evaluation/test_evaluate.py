@@ -2,21 +2,29 @@
 
 import csv
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
 
+from dsrc.evaluation.causes.cause import FALSE, MISSED
+from dsrc.evaluation.causes.results import cause_tables
 from dsrc.evaluation.evaluate import evaluate_drives, plan_of_evaluation
 from dsrc.evaluation.results import Row, find_row
+from dsrc.evaluation.stored import read_index, read_run
+from dsrc.evaluation.stress import IOU, SURE
 from dsrc.options.detection import Evaluation
+from dsrc.review.errors.judged import JudgedRun
+from dsrc.review.sources.base import Setup
 from sim.errors import DataError, SettingsError
 from tests.dsrc.data.sweeps.trees import kitti_object
 from tests.dsrc.evaluation.small import write_detector, write_drives
 
 FILES = {
     "results.csv", "results.json", "timings.csv", "ap_per_corruption.png", "mce_map.png", "precision_recall.png",
+    "causes.csv",
 }  # fmt: skip
 
 
@@ -42,6 +50,27 @@ def files_in(folder: Path) -> set[str]:
 def done(world: Path) -> tuple[Evaluation, list[Row]]:
     config = config_of(world, "out", corruption=("fog", "beam_missing"), seed=4)
     return config, evaluate_drives(config)
+
+
+def test_every_error_of_an_evaluation_has_a_cause(done: tuple[Evaluation, list[Row]]) -> None:
+    config, _ = done
+    with (config.out / "causes.csv").open(encoding="utf-8") as file:
+        assert json.loads(file.readline()[2:])["seed"] == 4
+        lines = list(csv.DictReader(file))
+    counts = Counter((line["method"], line["condition"], line["error"]) for line in lines)
+    index, expected = read_index(config.out), Counter[tuple[str, str, str]]()
+    for run in index.runs:
+        judged = JudgedRun(run.method, Setup(run.condition), read_run(config.out, run.cells[0]))
+        found = judged.counts(SURE, IOU)
+        label = run.condition.label
+        expected[run.method, label, "missed"], expected[run.method, label, "false"] = found.fn, found.fp
+    assert counts == +expected and sum(counts.values()) > 0
+    assert {line["kind"] for line in lines} <= {*MISSED, *FALSE} and all(line["sentence"] for line in lines)
+    tables = cause_tables(config.out)
+    total = sum(row.cells[1] for table in tables for row in table.rows)
+    assert total == len(lines)
+    for table in tables:
+        assert all(row.cells[1] == sum(row.cells[2:]) for row in table.rows), table.name
 
 
 def test_an_evaluation_writes_tables_plots_and_what_made_them(done: tuple[Evaluation, list[Row]]) -> None:

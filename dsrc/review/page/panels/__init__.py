@@ -13,6 +13,7 @@ from dsrc.review.page.panels.drawn import (
 )
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.page.panels.errors import ErrorsPanel
+from dsrc.review.page.panels.gallery import GalleryPanel
 from dsrc.review.page.panels.notes import NotesPanel
 from dsrc.review.page.panels.overview import OverviewPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
@@ -26,6 +27,7 @@ PANELS: tuple[Callable[[Page], Panel], ...] = (
     SelectionPanel,
     NotesPanel,
     ErrorsPanel,
+    GalleryPanel,
     CorruptionLabPanel,
     SensorLabPanel,
     DetectionsPanel,
