@@ -62,7 +62,9 @@ class Terrain:
         parts = tree.geometries[face]
         inside = shapely.contains(whole[of], parts)
         parts[~inside] = shapely.intersection(whole[of][~inside], parts[~inside])
-        return shapely.multipolygons([ring for part in parts for ring in rings_of(part)])
+        found = [ring for part in parts for ring in rings_of(part)]
+        # A sliver may meet triangles in points and lines alone.
+        return shapely.multipolygons(found) if found else shapely.MultiPolygon()
 
     def follow(self, shape: shapely.Geometry) -> shapely.Geometry:
         """Return a shape with added corners, so that its outline follows the terrain."""

@@ -106,7 +106,7 @@ def test_auto_is_bfloat16_where_the_processor_computes_it(
     assert engine_for(weights) == "fused"
     monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", False)
     assert engine_for(weights) == "fused"
-    reasons = ("processor computes bfloat16", "device is cuda", "has failed the gate", "processor has no bfloat16")
+    reasons = ("processor computes bfloat16", "device is cuda", "has not passed the gate", "processor has no bfloat16")
     assert [why in text for why, text in zip(reasons, caplog.messages, strict=True)] == [True] * 4
 
 

@@ -67,6 +67,13 @@ def test_every_part_of_a_cut_shape_lies_on_one_triangle() -> None:
     np.testing.assert_allclose(terrain.height(middle[:, :2]), middle[:, 2], atol=1e-6)
 
 
+@pytest.mark.parametrize("width", [0.0, 1e-13])
+def test_nothing_is_left_of_a_shape_without_area(width: float) -> None:
+    parts = slope(bend=0.002).cut(shapely.Polygon([(40.0, 50.0), (60.0, 50.0), (60.0, 50.0 + width)]))
+    assert parts.area == pytest.approx(0.0, abs=1e-9)
+    assert not len(carpet(parts, slope().height, 0.0, "gravel").faces) or width
+
+
 def test_a_wide_land_has_a_bounded_number_of_nodes() -> None:
     window = (0.0, 0.0, 4000.0, 4000.0)
     line = np.array([[0.0, 0.0, 0.0], [4000.0, 4000.0, 90.0]])
