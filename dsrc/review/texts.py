@@ -192,14 +192,16 @@ def html_table(
     """
 
     def cells(texts: Sequence[str], kind: str, row: int = -1) -> str:
-        style = "max-width:7em;overflow:hidden;text-overflow:ellipsis;padding:0 .5em 0 0;font-weight:normal;"
+        style = "max-width:{}em;overflow:hidden;text-overflow:ellipsis;padding:0 .5em 0 0;font-weight:normal;"
         style += "white-space:nowrap;text-align"
         line = ""
         for column, text in enumerate(texts):
             to = escape(link(row, column)) if row >= 0 else ""
             shown = f'<a href="{to}" style="color:inherit">{escape(text)}</a>' if to else escape(text)
             side = "right" if column else "left"
-            line += f'<{kind} style="{style}:{side}" title="{escape(text)}">{shown}</{kind}>'
+            line += (
+                f'<{kind} style="{style.format(5.5 if column else 11)}:{side}" title="{escape(text)}">{shown}</{kind}>'
+            )
         return line
 
     lines = [cells(head, "th"), *(cells(row, "td", number) for number, row in enumerate(rows))]

@@ -198,7 +198,7 @@ def _of_episodes(model: Judgements, state: ReviewState) -> Overview:
         if line is None or not len(line.time_s):
             continue
         hit = line.contact_row
-        hard = float(-line.wanted_mps2.min()) if hit is None else float(line.speed_mps[hit])
+        hard = float(-line.wanted_mps2.min()) if hit is None else line.closing_mps
         at = replace(here, drive=drive, frame=int(np.argmin(line.wanted_mps2)) if hit is None else hit)
         cells.setdefault((getattr(source, "fault", ""), line.outcome), []).append((hard, at))
     outcomes = sorted({outcome for _, outcome in cells}, key=lambda name: (name != "crashed", name))

@@ -151,6 +151,7 @@ class EpisodeSource:
             speed_mps=np.array([tick.ego.speed_mps for tick in ticks]),
             wanted_mps2=np.array([tick.decision.acceleration_mps2 for tick in ticks]),
             contact_row=next((row for row, tick in enumerate(ticks) if tick.contact is not None), None),
+            closing_mps=next((tick.contact.closing_mps for tick in ticks if tick.contact is not None), 0.0),
             outcome=self._outcome,
             message=self._message,
         )

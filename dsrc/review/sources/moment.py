@@ -86,6 +86,7 @@ class EpisodeTimeline:
         contact_row: step of the first contact, None without one.
         outcome: how it ended, or `RUNNING`.
         message: explanation of a failed perception, or "".
+        closing_mps: speed at which the bodies approached at the first contact; 0 without one.
     """
 
     time_s: NDArray[np.float64]
@@ -94,3 +95,4 @@ class EpisodeTimeline:
     contact_row: int | None
     outcome: str
     message: str
+    closing_mps: float = 0.0

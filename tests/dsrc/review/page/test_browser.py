@@ -191,6 +191,20 @@ def test_a_click_in_the_overview_opens_the_worst_of_a_cell_and_back_leads_out_ag
     assert opened.session.wait_drawn(60.0).details is None
 
 
+def test_a_click_on_a_picture_of_the_gallery_opens_its_error_with_its_cause(opened: Opened) -> None:
+    session = opened.session
+    session.update(gallery=True)
+    picture = (
+        "[...document.querySelectorAll('a[href*=gallery]')].find(e=>e.querySelector('svg')&&e.title.includes('no box'))"
+    )
+    opened.click(*opened.place_of(picture))
+    wait_for(lambda: opened.app.sessions and opened.session is not session, 60.0)
+    details = opened.session.wait_drawn(60.0).details
+    assert details is not None and details.cause.startswith("no box")
+    opened.page.wait_for("document.body.innerText.includes('no box overlaps it')", 20.0)
+    assert opened.session.state.gallery
+
+
 def test_help_opens_on_a_question_mark(opened: Opened) -> None:
     opened.key("?", code="Slash", text="?", modifiers=8)
     opened.page.wait_for("document.body.innerText.includes('Ten frames forward')", 20.0)
