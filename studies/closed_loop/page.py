@@ -1,4 +1,4 @@
-"""Write the tables of report.md and docs/closed_loop_results.md anew from the committed results, without driving.
+"""Write the tables of report.md and of the pages that quote it anew from the committed results, without driving.
 
 `dsrc drive PLAN.toml --docs studies/closed_loop/report.md` writes them after
 driving; this is for changes of the tables.
@@ -18,7 +18,7 @@ from sim.errors import SettingsError
 from sim.settings import read_toml
 
 PAGE = Path(__file__).with_name("report.md")
-SUMMARY = PAGE.parents[2] / "docs/closed_loop_results.md"
+SUMMARIES = tuple(PAGE.parents[2] / f"docs/{name}.md" for name in ("closed_loop_results", "attacks"))
 
 
 def committed(plan: Path) -> tuple[Path, CampaignResult]:
@@ -45,8 +45,9 @@ def main() -> None:
             print(publish_report(result, folder, PAGE))
         for section in sections(result) if result.results else ():
             name = f"{folder.name}/{section.name}"
-            if f"<!-- begin {name} -->" in SUMMARY.read_text(encoding="utf-8"):
-                replace_block(SUMMARY, name, section.markdown(folder))
+            for page in SUMMARIES:
+                if f"<!-- begin {name} -->" in page.read_text(encoding="utf-8"):
+                    replace_block(page, name, section.markdown(folder))
 
 
 if __name__ == "__main__":

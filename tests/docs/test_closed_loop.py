@@ -8,7 +8,8 @@ import msgspec
 from dsrc.closed_loop.campaign.plan import episodes_of
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.report.report import markdown, sections
-from studies.closed_loop.page import PAGE, SUMMARY, committed
+from dsrc.faults.fault import faults_text
+from studies.closed_loop.page import PAGE, SUMMARIES, committed
 
 
 def campaigns() -> dict[str, CampaignResult]:
@@ -25,7 +26,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         for section in sections(result)
     }
     block = re.compile(r"<!-- begin (\S+/\S+) -->\n(.*?)\n<!-- end \1 -->", re.DOTALL)
-    places, summary = block.findall(page), block.findall(SUMMARY.read_text(encoding="utf-8"))
+    places, *quoted = (block.findall(text) for text in (page, *(one.read_text("utf-8") for one in SUMMARIES)))
     published = {
         "which-corruption-kills",
         "taught-with-corruption",
@@ -33,13 +34,19 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         "nothing-is-hidden",
         "background-traffic",
         "pedestrians-and-bicycles",
+        "attacks",
     }
     assert {name.partition("/")[0] for name, _ in places} == published
-    assert summary and all(shown == blocks[name] for name, shown in [*places, *summary])
+    assert all(quoted) and all(shown == blocks[name] for name, shown in sum(quoted, places))
     for folder in published:
         result = campaigns()[folder]
         assert (PAGE.with_suffix("") / folder / "report.md").read_text(encoding="utf-8") == markdown(result)
         shipped = tuple(msgspec.structs.replace(one, checkpoint="") for one in result.plan.perceptions)
         jobs = episodes_of(msgspec.structs.replace(result.plan, perceptions=shipped))
-        planned = {(job.scenario, job.seed, job.perception, job.condition.kind) for job in jobs}
-        assert {(one.scenario, one.seed, one.perception, one.corruption) for one in result.results} == planned
+        planned = {
+            (job.scenario, job.seed, job.perception, job.condition.kind, faults_text(job.faults), ",".join(job.defence))
+            for job in jobs
+        }
+        assert planned == {
+            (one.scenario, one.seed, one.perception, one.corruption, one.fault, one.defence) for one in result.results
+        }

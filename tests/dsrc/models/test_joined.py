@@ -39,6 +39,21 @@ def test_joined_detectors_find_what_each_finds_best_first() -> None:
     assert "car" in names and names & {"pedestrian", "bicycle"} and names <= set(joined.classes)
 
 
+def test_what_agents_detect_alone_joins_to_what_late_fusion_detects() -> None:
+    torch.manual_seed(3)
+    late = replace(PLAIN, fusion="late")
+    joined = JoinedDetectors((Detector(late).eval(), Detector(replace(late, users="vulnerable")).eval()))
+    sample = make_sample(toy_frame(0), None, joined.settings.request)
+    for detector in (joined, joined.detectors[0]):
+        parts, found = detector.detect_each(sample), detector.detect(sample)
+        assert len(parts) == len(sample.agent_ids) > 1 and min(len(part) for part in parts) > 0
+        again = detector.joined(parts)
+        assert again.boxes.array.tobytes() == found.boxes.array.tobytes()
+        assert again.score.tobytes() == found.score.tobytes()
+    with pytest.raises(ValueError, match="expected a detector with late fusion, found one with"):
+        detectors()[0].detect_each(sample)
+
+
 def test_lost_tiles_are_the_same_places_on_another_grid() -> None:
     half = GridSpec(range_m=(-12.8, -12.8, -3.0, 12.8, 12.8, 1.0))
     fine = GridSpec(range_m=(0.0, 0.0, -3.0, 25.6, 12.8, 1.0), cell_m=0.2)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,11 +10,11 @@ import pytest
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.messages.attacks import Attacks
-from dsrc.closed_loop.messages.message import Message
+from dsrc.closed_loop.messages.message import Message, near_any
 from dsrc.closed_loop.metrics.lies import LieMetrics, lie_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.replay import replay
-from dsrc.closed_loop.types import EgoState, Outcome
+from dsrc.closed_loop.types import EgoState, Outcome, Percept
 from dsrc.faults.fault import parse_faults
 from sim.boxes import Boxes
 from sim.errors import SettingsError
@@ -171,6 +172,32 @@ def test_two_runs_and_a_replay_are_the_same(tmp_path: Path, haunted: EpisodeLog)
     assert lie_metrics(read) == lie_metrics(haunted)
     again = replay(read, open_perception("team-sight", fault="ghost", interval_s=0.2), "team-sight")
     assert percepts(again) == percepts(haunted) and lie_metrics(again) == lie_metrics(haunted)
+
+
+def test_late_fusion_joins_lies_with_detections_and_without_any_is_as_before() -> None:
+    loop = ClosedLoop("lta_truck", open_perception("truth"), settings=LoopSettings(duration_s=1.5))
+    loop.run(1)
+
+    def late(fault: str = "", defence: str = "none") -> Percept:
+        eyes: Any = open_perception("late", fault=fault or (), defence=defence)
+        eyes.reset(loop.scenario, loop.ego_id, 1)
+        if fault or defence != "none":
+            eyes.aim(loop.ticks[-1].ego)
+        return eyes.perceive(loop.ticks[-2].actors, loop.ticks[-1].actors, {})
+
+    plain, none, lie, refused = late(), late("ghost:0"), late("ghost"), late("ghost", "free-space")
+    assert none.boxes.array.tobytes() == plain.boxes.array.tobytes() and none.score.tobytes() == plain.score.tobytes()
+    assert plain.told == () and [one.false for one in none.told] == [0] * len(none.told) and none.told
+    place = ghost_of(loop.ticks[-1].ego)
+    assert not near_any(place, plain.boxes).any() and near_any(place, lie.boxes).all()
+    assert all(one.attacked and one.false == 1 for one in lie.told)
+    assert not near_any(place, refused.boxes).any() and all(one.false_refused == 1 for one in refused.told)
+
+
+def ghost_of(ego: EgoState) -> Boxes:
+    attacks = Attacks(parse_faults("ghost"), 0, EGO)
+    attacks.aim(ego, 0.0)
+    return attacks.written(message(HELPER, objects(), (0.0, 0.0)), 0.0).objects.boxes
 
 
 def test_without_messages_nothing_is_known_of_lies() -> None:
