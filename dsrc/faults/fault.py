@@ -24,6 +24,8 @@ from sim.errors import SettingsError, complaint, did_you_mean
 
 _TIME = re.compile(r"(?P<number>[0-9.eE+-]+)\s*s?")
 _WORDS = re.compile(r"\s+(from|to|on)\s+")
+_TIGHT_PLUS = re.compile(r"\w\+ *[a-z]|\w *\+[a-z]")
+_LAST_WORD = re.compile(r"\s(from|to|on)$")
 _SLACK_S = 1e-6
 
 
@@ -180,6 +182,11 @@ def _share_agent(one: Fault, other: Fault, ego_id: int | None) -> bool:
 
 def _parse_one(text: str, where: str) -> Fault:
     field = f"fault '{text}'"
+    if _TIGHT_PLUS.search(text):
+        raise SettingsError(complaint(where, field, "' + ' with spaces between two faults", text))
+    if unfinished := _LAST_WORD.search(text):
+        after = "agents" if unfinished[1] == "on" else "seconds"
+        raise SettingsError(complaint(where, field, f"{after} after '{unfinished[1]}'", "nothing"))
     head, *rest = _WORDS.split(text)
     name, _, numbers = head.partition(":")
     if name not in kind_names():

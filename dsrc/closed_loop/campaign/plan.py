@@ -49,7 +49,7 @@ from dsrc.closed_loop.perception.open import (
 )
 from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
-from dsrc.faults.fault import faults_text, parse_faults
+from dsrc.faults.fault import Faults, faults_text, parse_faults
 from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import DriveOptions, DriverName
 from dsrc.options.fields import RENAMED, changed_radios
@@ -384,13 +384,19 @@ def _check_faults(plan: Campaign, where: str) -> None:
     found = [faults_text(parse_faults(text, where)) for text in plan.fault]
     if repeated := [text for text in found if found.count(text) > 1]:
         raise SettingsError(complaint(where, "fault", "texts that differ", repeated[0]))
+
+    def acts(faults: Faults) -> bool:
+        each = settled(faults, plan.radios[0])
+        return any(_acts(each, plan.radios, one, _has_helpers(one)) for one in plan.perceptions)
+
     for text in found:
-        each = settled(parse_faults(text, where), plan.radios[0])
-        if not any(_acts(each, plan.radios, one, _has_helpers(one)) for one in plan.perceptions):
+        faults = parse_faults(text, where)
+        if not acts(faults):
             names = ", ".join(one.name for one in plan.perceptions)
-            expected = "a perception that all of it acts on"
-            if any(one.attack for one in each.faults):
-                expected += f", {' or '.join(TELLING)}, whose helpers tell boxes"
+            idle = next((f"'{fault.text}'" for fault in faults if not acts((fault,))), "all of it")
+            expected = f"a perception that {idle} acts on, such as team"
+            if any(one.attack for one in faults):
+                expected = f"a perception whose helpers tell boxes, {' or '.join(TELLING)}"
             raise SettingsError(complaint(where, f"fault '{text}'", expected, names))
     driven = [each for channel in plan.radios for each in plan.disturbed(channel)]
     for each in driven:

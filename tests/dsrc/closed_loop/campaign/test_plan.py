@@ -372,7 +372,7 @@ def test_a_fault_that_an_option_can_say_is_the_same_episode() -> None:
         ({"fault": ("fog:3",), "corruption": ("fog",)}, "fault: expected a fault that no corruption, channel or other"),
         (
             {"fault": ("loss:1 from 1 s",), "perception": ("ego", "sight")},
-            "expected a perception that all of it acts on",
+            "fault 'loss:1 from 1 s': expected a perception that 'loss:1 from 1 s' acts on, such as team, found ego, sight",
         ),
     ],
 )
@@ -441,7 +441,7 @@ def test_a_defence_is_another_episode_and_none_is_the_same_as_without() -> None:
             {"defence": ("motion",), "perception": ("team", "truth")},
             "drive: defence 'motion': expected a perception whose helpers tell boxes, team-sight or late, found team",
         ),
-        ({"fault": ("ghost",), "perception": ("team",)}, "team-sight or late, whose helpers tell boxes, found team"),
+        ({"fault": ("ghost",), "perception": ("team",)}, "a perception whose helpers tell boxes, team-sight or late, found team"),
         ({"fault": ("ghost on ego",)}, "fault 'ghost on ego': expected helpers or their ids after 'on', found ego"),
     ],
 )
