@@ -43,8 +43,8 @@ FLOAT32_ONLY = frozenset(
         "47535451f58ad8ba525a222be10e95537dae46b16de10b215ed8eb2315ffea60",
     }
 )
-"""SHA-256 of shipped detector files whose average precision changes more in bfloat16 than `studies/bf16_gate.py` allows,
-`small-dsrc-vulnerable.pt`, or which it has not measured: those of `road`."""
+"""SHA-256 of shipped detector files whose average precision changes more in bfloat16 than `studies/bf16_gate.py`
+allows, `small-dsrc-vulnerable.pt`, or which it has not measured: those of `road`."""
 AUTO = "auto"
 """Name that stands for the engine of `engine_for`."""
 _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")

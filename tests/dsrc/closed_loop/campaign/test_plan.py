@@ -372,7 +372,7 @@ def test_a_fault_that_an_option_can_say_is_the_same_episode() -> None:
         ({"fault": ("fog:3",), "corruption": ("fog",)}, "fault: expected a fault that no corruption, channel or other"),
         (
             {"fault": ("loss:1 from 1 s",), "perception": ("ego", "sight")},
-            "fault 'loss:1 from 1 s': expected a perception that 'loss:1 from 1 s' acts on, such as team, found ego, sight",
+            "expected a perception that 'loss:1 from 1 s' acts on, such as team, found ego, sight",
         ),
     ],
 )
