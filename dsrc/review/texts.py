@@ -185,23 +185,20 @@ def fates_table(view: FrameView) -> str:
 def html_table(
     head: Sequence[str], rows: Sequence[Sequence[str]], link: Callable[[int, int], str] = lambda *_: ""
 ) -> str:
-    """HTML table whose first column is left-aligned.
+    """HTML table whose first column is left-aligned, and wraps.
 
     Args:
         link: function from row and column to the address that a click opens, "" for none.
     """
 
     def cells(texts: Sequence[str], kind: str, row: int = -1) -> str:
-        style = "max-width:{}em;overflow:hidden;text-overflow:ellipsis;padding:0 .5em 0 0;font-weight:normal;"
-        style += "white-space:nowrap;text-align"
+        style = "padding:0 .5em 0 0;font-weight:normal;"
         line = ""
         for column, text in enumerate(texts):
             to = escape(link(row, column)) if row >= 0 else ""
             shown = f'<a href="{to}" style="color:inherit">{escape(text)}</a>' if to else escape(text)
-            side = "right" if column else "left"
-            line += (
-                f'<{kind} style="{style.format(5.5 if column else 11)}:{side}" title="{escape(text)}">{shown}</{kind}>'
-            )
+            side = "white-space:nowrap;text-align:right" if column else "text-align:left"
+            line += f'<{kind} style="{style}{side}">{shown}</{kind}>'
         return line
 
     lines = [cells(head, "th"), *(cells(row, "td", number) for number, row in enumerate(rows))]

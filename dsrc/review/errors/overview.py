@@ -167,8 +167,8 @@ def _table(done: list[_Judged], state: ReviewState, frames: int, run: str, whole
     rows: list[tuple[Cell, ...]] = []
     for one in order:
         part = "" if one.frames == most else f", {one.frames} of {most} frames"
-        row = [Cell(f"{one.condition.label}{part}", one.worst["any"].opens or one.opens)]
-        row += [Cell(one.method)] if several else []
+        name = f"{one.condition.label}{f' · {one.method}' if several else ''}{part}"
+        row = [Cell(name, one.worst["any"].opens or one.opens)]
         row.append(Cell("–" if math.isnan(one.ap) else f"{100 * one.ap:.0f}"))
         row.append(Cell("" if math.isnan(lost(one)) else f"{100 * lost(one):.0f}"))
         for kind, count in (("missed", one.missed), ("false", one.false)):
@@ -184,7 +184,7 @@ def _table(done: list[_Judged], state: ReviewState, frames: int, run: str, whole
         says = [f"{run}. Nothing is detected so far."]
     elif not any(one.missed or one.false for one in done):
         says.append("No errors: all objects are found, and nothing else.")
-    head = ("", *(["method"] if several else []), f"AP{100 * state.iou:.0f}", "lost", "missed", "false")
+    head: tuple[str, ...] = ("", f"AP{100 * state.iou:.0f}", "lost", "missed", "false")
     head += () if several else ("worst",)
     return Overview(tuple(says), head, tuple(rows), whole)
 

@@ -56,7 +56,6 @@ def test_what_lost_most_against_clean_comes_first() -> None:
     assert lost[0] > lost[1] > 0
     assert np.allclose(lost, [ap[2] - ap[0], ap[2] - ap[1]], atol=1.0)
     assert column(found, "lost")[2] == "", "clean is what the others are measured by"
-    assert "method" not in found.head, "one method needs no name"
 
 
 def test_without_corruptions_methods_are_measured_by_the_first() -> None:
@@ -65,7 +64,7 @@ def test_without_corruptions_methods_are_measured_by_the_first() -> None:
         assert isinstance(own, MemorySet)
         own._tables = {setup: frames for setup, frames in own._tables.items() if setup.condition.kind == "clean"}
     found = overview(model)
-    assert column(found, "method") == ["late", "DSRC"] and int(column(found, "lost")[0]) > 0
+    assert [row[0].text for row in found.rows] == ["clean · late", "clean · DSRC"] and int(column(found, "lost")[0]) > 0
 
 
 def test_counts_and_precision_are_those_of_the_errors_over_all_drives() -> None:
@@ -76,12 +75,13 @@ def test_counts_and_precision_are_those_of_the_errors_over_all_drives() -> None:
     )
     for row in found.rows:
         named = dict(zip(found.head, row, strict=True))
-        kind = row[0].text.split()[0].rstrip(",")
+        label, method = row[0].text.split(" · ")
+        kind = label.split()[0]
         counts = [
-            model.index(ReviewState(drive=drive, methods=(named["method"].text,), corruption=kind)).counts(0.3, 0.5)
+            model.index(ReviewState(drive=drive, methods=(method,), corruption=kind)).counts(0.3, 0.5)
             for drive in (0, 1)
         ]
-        own = [one[named["method"].text] for one in counts]
+        own = [one[method] for one in counts]
         assert named["missed"].text == str(sum(one.fn for one in own))
         assert named["false"].text == str(sum(one.fp for one in own))
 
