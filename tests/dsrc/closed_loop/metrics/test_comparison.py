@@ -25,6 +25,7 @@ class One:
     severity: int = 0
     who: str = "all"
     fault: str = ""
+    defence: str = ""
     channel: str = "ideal"
     seed: int = 0
     outcome: str = "arrived"
