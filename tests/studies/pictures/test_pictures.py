@@ -18,6 +18,7 @@ SMALL = {
     "pictures.lidar_effects": (),
     "pictures.scenarios": ("--only", "ped_bus_stop"),
     "pictures.places": ("--only", "four_way"),
+    "pictures.sweeps": ("--only", "ped_bus_stop"),
     "closed_loop.same_crash": ("--perceptions", "truth", "truth"),
     "pictures.lidar_realism": ("--scenarios", "four_way", "--sensors", "debug-16", "--frames", "1"),
 }
