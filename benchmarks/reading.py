@@ -36,7 +36,7 @@ from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import Sample, make_sample
 from dsrc.models.inputs.batch import collate
 from dsrc.models.settings import ModelSettings
-from dsrc.training.augment import augment, source_grid
+from dsrc.training.augmentation.augment import augment, source_grid
 from dsrc.training.recipes import RECIPES, Recipe
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.presets import get_lidar

@@ -14,7 +14,7 @@ from dsrc.data.drives import drive_hashes
 from dsrc.data.sample import Sample
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.settings import ModelSettings
-from dsrc.training.augment import source_grid
+from dsrc.training.augmentation.augment import source_grid
 from dsrc.training.recipes import Recipe
 from dsrc.training.resident.batch import ResidentBatches, reason_for_host
 from dsrc.training.resident.plan import Plan, PlanCollate, ResidentSet

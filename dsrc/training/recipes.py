@@ -34,7 +34,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             shrinks below a length of 2.2 m, and none grows into another. Its points move with it; people and
             two-wheelers keep their sizes. Source: random object scaling of J. Yang et al., ST3D, CVPR 2021.
         crowding: probability that a vehicle is put a second time, right beside what stands, in samples of which the ego
-            takes part alone; needs heights above the ground. See `dsrc.training.crowding`.
+            takes part alone; needs heights above the ground. See `dsrc.training.augmentation.crowding`.
         intensity: probability that a sample has intensities as of sensors of other makers: in half of these samples
             each agent's are raised to a power from 0.6 to 1.6 and multiplied by 1/4 to 4, at most 1; in the other half
             all are one value from 0 to 0.4, as of sensors without intensities, for which readers put 0 or 0.2.

@@ -14,7 +14,7 @@ from torch.utils.data import Dataset
 from dsrc.data.drives import labelled_frames, open_drive
 from dsrc.data.level import level
 from dsrc.data.sample import Sample, SampleRequest, make_sample
-from dsrc.training.augment import augment, source_grid
+from dsrc.training.augmentation.augment import augment, source_grid
 from dsrc.training.recipes import Recipe
 from sensors.corruptions import SEVERITIES, corrupt_frame
 from sensors.frame import Frame

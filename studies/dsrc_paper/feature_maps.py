@@ -28,7 +28,7 @@ from dsrc.evaluation.detect import frame_positions
 from dsrc.models.detector import Detector, NetworkOutput
 from dsrc.models.inputs.batch import Batch, collate
 from dsrc.models.storage.checkpoint import load_detector
-from dsrc.training.augment import augment, source_grid
+from dsrc.training.augmentation.augment import augment, source_grid
 from dsrc.training.recipes import Augmentation
 from dsrc.training.samples import SampleStore
 from sim.errors import UserError

@@ -16,7 +16,7 @@ from dsrc.models.device import on_device
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.grid import GridSpec
-from dsrc.training.augment import source_grid
+from dsrc.training.augmentation.augment import source_grid
 from dsrc.training.recipes import Recipe
 from dsrc.training.resident.plan import PartPlan, Plan
 from dsrc.training.resident.store import FramePoints, ResidentPoints

@@ -19,7 +19,7 @@ from dsrc.models.inputs.batch import fusion_samples
 from dsrc.models.inputs.labels import cells_in_boxes
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.anchors import ANCHORS
-from dsrc.training.augment import Change, changed, draw, draw_shares
+from dsrc.training.augmentation.augment import Change, changed, draw, draw_shares
 from dsrc.training.recipes import Recipe
 from dsrc.training.resident.store import FramePoints
 from dsrc.training.samples import Draw, TrainingSet

@@ -8,7 +8,7 @@ from msgspec.structs import replace as replace_setting
 from numpy.typing import NDArray
 
 from dsrc.data.sample import Sample, make_sample
-from dsrc.training.augment import SHORTEST_M, SKIN_M, augment, rescaled, resized, source_grid
+from dsrc.training.augmentation.augment import SHORTEST_M, SKIN_M, augment, rescaled, resized, source_grid
 from dsrc.training.recipes import Augmentation, debug
 from sim.boxes import CLASSES, Boxes
 from sim.collisions import overlapping_pairs

@@ -10,7 +10,7 @@ from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample, inside_range
 from dsrc.models.inputs.batch import with_agents
 from dsrc.ops.grid import GridSpec
-from dsrc.training.crowding import crowded
+from dsrc.training.augmentation.crowding import crowded
 from dsrc.training.recipes import Augmentation
 from sensors.compiled import compiled
 from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY

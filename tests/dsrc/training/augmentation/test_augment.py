@@ -9,7 +9,7 @@ from msgspec.structs import replace as replace_setting
 from dsrc.data.sample import Sample, inside_range, make_sample
 from dsrc.models.inputs.batch import collate
 from dsrc.models.layers.encoder import Pillars
-from dsrc.training.augment import augment, source_grid, thinned, with_some
+from dsrc.training.augmentation.augment import augment, source_grid, thinned, with_some
 from dsrc.training.recipes import Augmentation, debug
 from tests.dsrc.training.drive import frame
 

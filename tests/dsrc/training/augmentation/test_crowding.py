@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dsrc.data.sample import Sample
 from dsrc.ops.ground import LIDAR_M
-from dsrc.training.augment import augment
-from dsrc.training.crowding import crowded
+from dsrc.training.augmentation.augment import augment
+from dsrc.training.augmentation.crowding import crowded
 from dsrc.training.recipes import Augmentation, debug, override
 from sim.boxes import CLASSES, Boxes
 from sim.collisions import overlapping_pairs
