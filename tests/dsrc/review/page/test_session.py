@@ -47,7 +47,7 @@ CHANGES = {
     "point_size_m": 0.3, "max_points": 9000, "theme": "light", "layers_off": frozenset({"bodies"}),
     "methods": ("detector",), "listed": "missed", "versus": "alone", "error_method": "detector", "error_class": "truck",
     "error_range": "30-50", "error_seen_by": "helper", "sensor": "vlp-16", "carrier": "pole",
-    "corrupted_agents": "ego",
+    "corrupted_agents": "ego", "gallery": True,
 }  # fmt: skip
 
 
