@@ -149,7 +149,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             # The released rules know one class: either anchor may have every box.
             raise ValueError(f"labels.targets: expected overlap with users={self.model.users}, found released")
         if self.augmentation.crowding and self.model.height != "ground":
-            raise ValueError(f"augmentation.crowding: expected 0 with height={self.model.height}, found above 0")
+            found = f"{self.augmentation.crowding:g} with model.height={self.model.height}"
+            raise ValueError(f"augmentation.crowding: expected 0, or model.height=ground, found {found}")
 
     def settings(self, stage: Stage) -> ModelSettings:
         """Return the settings of a stage's network."""

@@ -66,6 +66,10 @@ def parse_defence(text: str, where: str = "drive") -> Defence:
     names = [name.strip() for name in text.split(",")]
     if names == [NO_DEFENCE]:
         return ()
+    if NO_DEFENCE in names:
+        raise SettingsError(complaint(where, "defence", f"'{NO_DEFENCE}' alone", text))
+    if "" in names[1:]:
+        raise SettingsError(complaint(where, "defence", "a name between two commas", f"nothing in '{text}'"))
     for name in names:
         if name not in DEFENCES:
             expected = f"{NO_DEFENCE}, or one of {', '.join(DEFENCES)} or several between commas"

@@ -73,7 +73,7 @@ def check_values(path: Path, table: NDArray[np.void]) -> None:
         bad = np.flatnonzero(table[intensity] < 0) if intensity is not None else np.zeros(0, int)
         far = np.flatnonzero((np.abs(points) > _FARTHEST_M).any(axis=1))
     names = ",".join(map(unpadded, table.dtype.names or ()))
-    hint = f"; declare the columns of a point by {option('columns')} {names},..."
+    hint = f"; declare the columns of a point by {option('columns')} {names},... of dsrc corrupt, or in scans.toml"
     if len(bad):
         found = f"{table[intensity][bad[0]]:g} in row {bad[0]}"
         raise DataError(complaint(path, f"intensity of columns {names}", "at least 0", found, hint))
