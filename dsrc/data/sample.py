@@ -169,7 +169,7 @@ def make_sample(
     if rules:
         warn_deprecated(", ".join(rules), "dsrc.SampleRequest")
         asked = replace(asked, **rules)
-    rows = _participants(recorded or frame, ego_id, asked)
+    rows = participants(recorded or frame, ego_id, asked)
     ego = frame.agents[rows[0]]
     shift = np.eye(4)
     shift[0, 3] = -ahead_m
@@ -196,8 +196,12 @@ def make_sample(
     )
 
 
-def _participants(frame: Frame, ego_id: int | None, request: SampleRequest) -> list[int]:
-    """Return rows of `frame.agents`: the ego, then the others that take part."""
+def participants(frame: Frame, ego_id: int | None, request: SampleRequest) -> list[int]:
+    """Return rows of `frame.agents`: the ego, then the others that take part.
+
+    Raises:
+        DataError: the frame lacks the ego, or has no agent.
+    """
     if ego_id is None:
         vehicles = [row for row, agent in enumerate(frame.agents) if agent.kind == "vehicle"]
         ego_row = vehicles[0] if vehicles else 0

@@ -9,7 +9,9 @@ from dsrc.options.detection import AutoEngine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, changed_radios, choice
 
 DriverName = Literal["planning", "anticipating", "careful"]
-DEFENCES = ("none", "agreement", "free-space", "motion", "trust")
+NO_DEFENCE = "none"
+DEFENCES = ("agreement", "free-space", "motion", "trust")
+"""Defences by name, in the order in which they act."""
 PERCEPTIONS = ("truth", "sight", "team-sight", "ego", "team", "late", "FILE", "MODEL.json", "MODULE:CLASS")
 
 
@@ -61,7 +63,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     delay_s: float | None = None
     pose_error: float | None = None
     fault: Annotated[tuple[str, ...], arg(metavar="FAULT [...]")] = ()
-    defence: Annotated[tuple[str, ...], choice(DEFENCES, several=True)] = ()
+    defence: Annotated[tuple[str, ...], choice((NO_DEFENCE, *DEFENCES), several=True)] = ()
     seed: tuple[int, ...] = ()
     engine: AutoEngine = "auto"
     driver: DriverName | None = None

@@ -19,6 +19,7 @@ from dsrc.realism.figures import sweeps_of
 from sensors.sweep import Sweep
 from sim.boxes import Boxes
 from sim.catalog.load import load_scenario
+from sim.errors import ScenarioError
 from studies.look import FAINT, INK, new_figure, part_of, save, style
 
 PLACES = (
@@ -49,7 +50,10 @@ def main() -> None:
         figure = new_figure(4.6 * columns, 2.5 * rows + 0.7, "Sweeps in worlds of version 2", note)
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         for panel, name in zip(axes, options.only, strict=False):
-            draw(panel, name, *sweep_in(name, options.seed))
+            try:
+                draw(panel, name, *sweep_in(name, options.seed))
+            except ScenarioError as error:
+                parser.error(str(error))
         for panel in axes[len(options.only) :]:
             panel.set_visible(False)
         options.out.mkdir(parents=True, exist_ok=True)

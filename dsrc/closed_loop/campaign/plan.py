@@ -35,7 +35,7 @@ from msgspec.structs import replace
 from dsrc.closed_loop.campaign.disturbance import Disturbance, settled
 from dsrc.closed_loop.campaign.episode import EpisodeJob
 from dsrc.closed_loop.loop import LoopSettings
-from dsrc.closed_loop.messages.defences import NO_DEFENCE, Defence, parse_defence
+from dsrc.closed_loop.messages.defences import Defence, parse_defence
 from dsrc.closed_loop.perception.error_model.model import read_model
 from dsrc.closed_loop.perception.open import (
     ALONE,
@@ -51,7 +51,7 @@ from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
 from dsrc.faults.fault import Faults, faults_text, parse_faults
 from dsrc.options.detection import AutoEngine
-from dsrc.options.driving import DriveOptions, DriverName
+from dsrc.options.driving import NO_DEFENCE, DriveOptions, DriverName
 from dsrc.options.fields import RENAMED, changed_radios
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.catalog.load import load_scenario

@@ -21,13 +21,10 @@ from numpy.typing import NDArray
 
 from dsrc.closed_loop.messages.message import Message, near_any
 from dsrc.closed_loop.seen_space import LOW_M, View
+from dsrc.options.driving import DEFENCES, NO_DEFENCE
 from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.geometry import wrap_angle
-
-DEFENCES = ("agreement", "free-space", "motion", "trust")
-"""Defences by name, in the order in which they act."""
-NO_DEFENCE = "none"
 
 Defence = tuple[str, ...]
 
@@ -114,7 +111,7 @@ class Defences:
     """Defences of an ego over an episode.
 
     Attributes:
-        names: of `DEFENCES`.
+        names: of `dsrc.options.driving.DEFENCES`.
     """
 
     names: Defence

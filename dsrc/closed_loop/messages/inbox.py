@@ -36,7 +36,7 @@ class Inbox:
 
     Args:
         faults: of the episode; its attacks act here.
-        defence: names of `dsrc.closed_loop.messages.defences.DEFENCES`.
+        defence: names of `dsrc.options.driving.DEFENCES`.
     """
 
     def __init__(self, faults: Faults, defence: Defence) -> None:

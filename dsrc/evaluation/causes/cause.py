@@ -23,7 +23,7 @@ from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
 from sim.geometry import invert, transform_points
 
-Missed = Literal[
+MissedKind = Literal[
     "out of range",
     "below threshold",
     "wrong heading",
@@ -36,7 +36,7 @@ Missed = Literal[
     "no box",
 ]
 """Causes of a missed object, in the order in which they are looked for."""
-False_ = Literal[
+FalseKind = Literal[
     "own body",
     "doubled box",
     "wrong heading",
@@ -48,8 +48,8 @@ False_ = Literal[
     "of nothing",
 ]
 """Causes of a false box, in the order in which they are looked for."""
-MISSED: tuple[Missed, ...] = get_args(Missed)
-FALSE: tuple[False_, ...] = get_args(False_)
+MISSED: tuple[MissedKind, ...] = get_args(MissedKind)
+FALSE: tuple[FalseKind, ...] = get_args(FalseKind)
 
 FEW = 5
 """Points up to which an object is hard to find, the second level of the Waymo Open Dataset (Sun et al., CVPR 2020)."""
@@ -83,7 +83,7 @@ class ErrorCause(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     error: Literal["missed", "false"]
-    kind: Missed | False_
+    kind: MissedKind | FalseKind
     sentence: str
     object_id: int | None = None
     rank: int | None = None
@@ -201,7 +201,7 @@ class _Judged:
             helper=helper,
         )
 
-    def _why_missed(self, row: int) -> tuple[Missed, str, int | None, int | None]:
+    def _why_missed(self, row: int) -> tuple[MissedKind, str, int | None, int | None]:
         """Kind, sentence, box and helper of a missed object."""
         if (low := self.known.range_m) is not None:
             x, y = self.truth.center[row, :2]
@@ -254,7 +254,7 @@ class _Judged:
             helper=helper,
         )
 
-    def _why_false(self, box: int) -> tuple[False_, str, int | None, int | None, int | None]:
+    def _why_false(self, box: int) -> tuple[FalseKind, str, int | None, int | None, int | None]:
         """Kind, sentence, judged object, another object and helper of a false box."""
         own = overlapping_pairs([self.boxes.array[box : box + 1]], [self.all.array])
         over = {int(row): float(iou) for row, iou in zip(own.truth, own.iou, strict=True) if iou >= _NEAR}
@@ -284,7 +284,7 @@ class _Judged:
             return "made by the corruption", why, None, None, None
         return "of nothing", f"no road user is there; {inside} points are in it, {away:.0f} m away", None, None, None
 
-    def _placed(self, box: int, row: int) -> tuple[Missed, str]:
+    def _placed(self, box: int, row: int) -> tuple[MissedKind, str]:
         """Kind and sentence of a box that is beside its object."""
         iou = f"IoU {self._iou(box, row):.2f} is below {self.iou:g}"
         kind, helper, shift = self._mover(box, row)
@@ -303,7 +303,7 @@ class _Judged:
             f"its box is {np.hypot(*off):.1f} m off and {abs(size[0]):.1f} m too {_long(size[0])}: {iou}",
         )
 
-    def _mover(self, box: int, row: int) -> tuple[Missed | None, int | None, NDArray[np.float64]]:
+    def _mover(self, box: int, row: int) -> tuple[MissedKind | None, int | None, NDArray[np.float64]]:
         """Kind, helper and displacement, m, that explain at least half of how far a box is off; None without."""
         main = self._main(row)
         off = self.boxes.center[box, :2] - self.truth.center[row, :2]
@@ -313,9 +313,9 @@ class _Judged:
                     return kind, main, shift
         return None, None, np.zeros(2)
 
-    def _shifts(self, helper: int, row: int) -> list[tuple[Missed, str, NDArray[np.float64]]]:
+    def _shifts(self, helper: int, row: int) -> list[tuple[MissedKind, str, NDArray[np.float64]]]:
         """Displacements of a helper's points on an object, by its pose error and by the age of its message."""
-        shifts: list[tuple[Missed, str, NDArray[np.float64]]] = []
+        shifts: list[tuple[MissedKind, str, NDArray[np.float64]]] = []
         centre = self.frame.truth.center[self.objects[row]]
         if self.known.corrupted is not None:
             true, told = (one.agent(helper).sweep.world_from_lidar for one in (self.frame, self.known.corrupted))
@@ -331,7 +331,7 @@ class _Judged:
             shifts.append(("message late", self._names("message late", helper), -age * back))
         return [one for one in shifts if np.hypot(*one[2]) >= _MOVED_M]
 
-    def _names(self, kind: Missed, helper: int) -> str:
+    def _names(self, kind: MissedKind, helper: int) -> str:
         if kind == "pose error":
             return f"the pose error of {self._who(helper)}"
         return f"the message of {self._who(helper)}, {1e3 * (self.known.ages.get(helper) or 0.0):.0f} ms old,"

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dsrc.data.sample import SampleRequest, make_sample
+from dsrc.data.sample import SampleRequest, participants
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.causes.cause import FALSE, MISSED, Circumstances, frame_causes
 from dsrc.evaluation.cells import drive_of
@@ -60,7 +60,7 @@ def write_causes(
             request, alone = trained.settings.request, entry.case.agents or trained.agents
             asked = request, int(table.ego_id[0])
             if asked not in teams:
-                teams[asked] = make_sample(frame, asked[1], request).agent_ids
+                teams[asked] = tuple(frame.agents[one].agent_id for one in participants(frame, asked[1], request))
             moved = condition.kind == _POSES
             known = Circumstances(
                 "" if condition.kind == "clean" else condition.label,

@@ -5,6 +5,9 @@ and shows the same side. Of the places where nothing is in its way, it takes the
 as a vehicle: hedges, walls, crowns of trees, other vehicles. What lies behind it in the same beams vanishes, and so do
 its own points behind something nearer.
 
+`dsrc.realism.transplant` does the same in sweeps, by the hull of a vehicle and the sensor's own beams, for figures that
+are published. Here it is compiled loops over cells of directions, some milliseconds a vehicle: a training pastes often.
+
 Source: cut and paste as an augmentation is of Y. Yan et al., SECOND, Sensors 18 (2018).
 """
 

@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.messages.defences import (
-    DEFENCES,
     Defences,
     Witness,
     disagrees,
@@ -18,7 +17,6 @@ from dsrc.closed_loop.messages.defences import (
 )
 from dsrc.closed_loop.messages.message import Message, Objects
 from dsrc.closed_loop.seen_space import View
-from dsrc.options.driving import DEFENCES as OPTIONS
 from sim.boxes import Boxes
 from sim.errors import SettingsError
 from sim.geometry import pose_matrix
@@ -155,7 +153,6 @@ def test_a_message_that_comes_late_is_judged_by_what_was_seen_at_its_instant() -
 
 
 def test_names_are_read_in_any_order_and_wrong_ones_told_in_one_line() -> None:
-    assert OPTIONS == ("none", *DEFENCES)
     assert parse_defence("none") == () and parse_defence("motion") == ("motion",)
     assert parse_defence("trust, free-space") == ("free-space", "trust")
     for text, said in (

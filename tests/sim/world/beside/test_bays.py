@@ -68,7 +68,7 @@ def planted(seed: int, density: float = 1.0) -> MeshPart:
 def without_bays(seed: int, density: float = 1.0) -> MeshPart:
     """Return what stands beside the road where nobody plants anything behind bays."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "_behind_bays", lambda *_: [])
+        patch.setattr(build, "behind_bays", lambda *_: [])
         return join(beside(street(parking=True), seed, density))
 
 
@@ -97,7 +97,7 @@ def same(one: MeshPart, other: MeshPart) -> bool:
 def test_a_street_without_bays_has_the_mesh_that_it_had(monkeypatch: pytest.MonkeyPatch) -> None:
     site = street(parking=False)
     now = join(beside(site, 1))
-    monkeypatch.setattr(build, "_behind_bays", lambda *_: [])
+    monkeypatch.setattr(build, "behind_bays", lambda *_: [])
     assert len(now.faces) > 5000
     assert same(now, join(beside(site, 1)))
 
