@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sensors.sweep import Sweep, make_sweep
-from sim.boxes import Boxes
+from sim.boxes import Boxes, tilted_poses
 from sim.errors import DataError, complaint
 from sim.geometry import invert
 
@@ -157,6 +157,10 @@ class Frame:
             found = np.shape(getattr(self, name))
             if found != shape:
                 raise ValueError(f"Frame.{name} must have shape {shape}, got {found}")
+
+    def bodies(self) -> NDArray[np.float64]:
+        """Return (N, 4, 4) poses of the middles of the objects' bodies in the world, tilted as they are."""
+        return tilted_poses(self.truth, self.tilt)
 
     @classmethod
     def of_cloud(

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.geometry import pose_matrix, transform_points, wrap_angle
+from sim.geometry import pose_angles, pose_matrix, transform_points, wrap_angle
 from sim.rows import Rows, stacked
 
 CLASSES = ("car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian")
@@ -126,6 +126,35 @@ class Boxes(Rows):
             half = 0.5 * self.size[row] + margin + 1e-9
             inside[row, near] = (along <= half[0]) & (across <= half[1]) & (np.abs(local[:, 2]) <= half[2])
         return inside
+
+
+def tilted_poses(boxes: Boxes, tilt: ArrayLike) -> NDArray[np.float64]:
+    """Return (N, 4, 4) poses of the middles of bodies in upright boxes, tilted about the middles of their footprints.
+
+    Args:
+        tilt: (N, 2) pitch and roll, rad.
+    """
+    pitch, roll = np.asarray(tilt, np.float64).reshape(-1, 2).T
+    poses = pose_matrix(boxes.center, boxes.yaw, pitch, roll)
+    poses[:, :3, 3] += _tipped(poses, boxes.size[:, 2])
+    return poses
+
+
+def upright_of(pose: ArrayLike, height: float) -> tuple[NDArray[np.float64], float, tuple[float, float]]:
+    """Return centre (3,), yaw and (pitch, roll) of the upright box of one body, the inverse of `tilted_poses`.
+
+    Args:
+        pose: (4, 4) of the middle of the body.
+        height: of the body, m.
+    """
+    matrix = np.asarray(pose, np.float64)
+    yaw, pitch, roll = map(float, pose_angles(matrix))
+    return matrix[:3, 3] - _tipped(matrix[None], np.array([height]))[0], yaw, (pitch, roll)
+
+
+def _tipped(poses: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (N, 3) ways from the middles of upright boxes to those of the tilted bodies in them."""
+    return 0.5 * height[:, None] * (poses[:, :3, 2] - [0.0, 0.0, 1.0])
 
 
 def concatenate(parts: Sequence[Boxes]) -> Boxes:

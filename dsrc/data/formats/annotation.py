@@ -139,6 +139,7 @@ def with_own_bodies(frame: Frame) -> Frame:
         truth=replace(frame.truth, object_id=ids)[order],
         velocity=frame.velocity[order],
         points_on=frame.points_on[:, order],
+        tilt=frame.tilt[order],
     )
 
 

@@ -67,18 +67,21 @@ class Step(NamedTuple):
     place: list[list[float]]
 
 
+Cube = tuple[int, str, list[float], list[float], list[float], str]
+
+
 class Index(NamedTuple):
     """What a bag holds beside its clouds.
 
     Attributes:
         clouds: per topic the (times of writing, times of measurement) of its messages, ns.
         steps: transforms by the name of the frame.
-        boxes: per time, ns, the id, class, (7) box and frame of each object.
+        boxes: per time, ns, the id, class, place, turn w, x, y, z, size and frame of each object.
     """
 
     clouds: dict[str, list[tuple[int, int]]]
     steps: dict[str, Step]
-    boxes: dict[int, list[tuple[int, str, list[float], str]]]
+    boxes: dict[int, list[Cube]]
 
 
 class Bag(Layout):
@@ -156,14 +159,17 @@ class Bag(Layout):
         if not self.labelled(i):
             return None
         stamp, rows = self._stamps[i][1], BoxRows(dict(zip(CLASSES, CLASSES, strict=True)))
-        for object_id, name, box, frame_id in self._index.boxes[stamp]:
-            pose = self._pose(frame_id, stamp)
-            place = (pose @ [*box[:3], 1.0])[:3]
-            rows.add(name, [*place, *box[3:6], box[6] + float(np.arctan2(pose[1, 0], pose[0, 0]))], object_id)
+        for object_id, name, place, turn, size, frame_id in self._index.boxes[stamp]:
+            if name not in CLASSES:
+                continue
+            # Four zeros are a turn that nobody set.
+            turns = np.array([turn if any(turn) else [1.0, 0.0, 0.0, 0.0]])
+            (cube,) = poses_of(self.path, turns, np.array([place]), "boxes")
+            rows.add_body(name, self._pose(frame_id, stamp) @ cube, size, object_id)
         boxes, _ = rows.boxes(self.path, "boxes")
         if len(np.unique(boxes.object_id)) < len(boxes):
             raise DataError(complaint(self.path, "boxes", "each id once at a time", "one twice"))
-        return Labels(boxes)
+        return Labels(boxes, tilt=rows.tilt())
 
     def files(self, i: int) -> list[Path]:
         """Return the file, or the files of the folder."""
@@ -319,8 +325,8 @@ def _transforms(message: Message) -> Iterator[tuple[str, str, int, list[float], 
         yield one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/"), stamp, turn, place
 
 
-def _cubes(message: Message) -> Iterator[tuple[int, tuple[int, str, list[float], str]]]:
-    """Yield time in ns and id, class, (7) box and frame of the cubes of a message whose class is one of ours."""
+def _cubes(message: Message) -> Iterator[tuple[int, Cube]]:
+    """Yield time in ns and the cubes, as in `Index`, of a message whose class is one of ours."""
     if isinstance(message.content, dict):
         for entity in message.content["entities"]:
             stamp = int(entity["timestamp"]["sec"]) * 10**9 + int(entity["timestamp"]["nsec"])
@@ -328,8 +334,7 @@ def _cubes(message: Message) -> Iterator[tuple[int, tuple[int, str, list[float],
             for cube in entity["cubes"]:
                 pose, size = cube["pose"], [cube["size"][k] for k in "xyz"]
                 turn, place = [pose["orientation"][k] for k in "wxyz"], [pose["position"][k] for k in "xyz"]
-                row = int(entity["id"]), str(facts.get("class", "")), [*place, *size, _yaw(turn)], entity["frame_id"]
-                yield stamp, row
+                yield stamp, (int(entity["id"]), str(facts.get("class", "")), place, turn, size, entity["frame_id"])
         return
     for one in _store().deserialize_cdr(message.content, message.kind).markers:
         if one.type != _CUBE or one.action != 0 or one.ns not in CLASSES:
@@ -337,12 +342,7 @@ def _cubes(message: Message) -> Iterator[tuple[int, tuple[int, str, list[float],
         stamp = one.header.stamp.sec * 10**9 + one.header.stamp.nanosec
         turn = [getattr(one.pose.orientation, k) for k in "wxyz"]
         place, size = ([getattr(of, k) for k in "xyz"] for of in (one.pose.position, one.scale))
-        yield stamp, (int(one.id), one.ns, [*place, *size, _yaw(turn)], one.header.frame_id.lstrip("/"))
-
-
-def _yaw(turn: list[float]) -> float:
-    w, x, y, z = turn
-    return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+        yield stamp, (int(one.id), one.ns, place, turn, size, one.header.frame_id.lstrip("/"))
 
 
 @lru_cache(maxsize=1)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sensors.frame import AgentKind, Region
 from sensors.sweep import Sweep
-from sim.boxes import CLASSES, Boxes
+from sim.boxes import CLASSES, Boxes, upright_of
 from sim.errors import DataError, complaint
 from sim.reading import read_bytes
 
@@ -35,11 +35,13 @@ class Labels:
         boxes: objects in the world frame, with ids from 1 on.
         velocity: (N, 2) in the world, m/s; None where the data set has none.
         region: where the boxes are complete, world frame; None for everywhere.
+        tilt: (N, 2) pitch and roll of the bodies, rad; None where the data set has none.
     """
 
     boxes: Boxes
     velocity: NDArray[np.float64] | None = None
     region: Region | None = None
+    tilt: NDArray[np.float64] | None = None
 
 
 class Layout:
@@ -112,14 +114,26 @@ class BoxRows:
     rows: list[Sequence[float]] = field(default_factory=list)
     classes: list[str] = field(default_factory=list)
     ids: list[int] = field(default_factory=list)
+    tilts: list[tuple[float, float]] = field(default_factory=list)
 
-    def add(self, name: str, row: Sequence[float], object_id: int) -> None:
+    def add_body(self, name: str, pose: NDArray[np.float64], size: Sequence[float], object_id: int) -> None:
+        """Add an object by the (4, 4) pose of its middle, which may be tilted, and l, w, h; see `add`."""
+        center, yaw, tilt = upright_of(pose, size[2])
+        self.add(name, [*center.tolist(), *size, yaw], object_id, tilt)
+
+    def add(self, name: str, row: Sequence[float], object_id: int, tilt: tuple[float, float] = (0.0, 0.0)) -> None:
         """Add an object of a data set's class, (7) x, y, z, l, w, h, yaw; unknown classes are left out."""
         ours = self.names.get(name)
         if ours is not None:
             self.rows.append(row)
             self.classes.append(ours)
             self.ids.append(object_id)
+            self.tilts.append(tilt)
+
+    def tilt(self) -> NDArray[np.float64]:
+        """Return (N, 2) pitch and roll of the objects that are not to be ignored, rad."""
+        kept = [tilt for tilt, name in zip(self.tilts, self.classes, strict=True) if name != IGNORED]
+        return np.array(kept, np.float64).reshape(-1, 2)
 
     def boxes(self, place: Path | str, field_name: str) -> tuple[Boxes, Boxes]:
         """Return the objects and those to ignore; DataError where a number is none or a size not positive."""

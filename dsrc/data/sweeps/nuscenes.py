@@ -233,13 +233,12 @@ class NuScenes(Layout):
         axes = poses_of(where, turns, np.array([row.translation for row in rows], np.float64).reshape(-1, 3))
         for row, pose in zip(rows, axes, strict=True):
             width, length, height = row.size
-            box = [*pose[:3, 3].tolist(), length, width, height, float(np.arctan2(pose[1, 0], pose[0, 0]))]
             category = self._tables.category.get(row.instance_token, "")
-            found.add(category, box, self._tables.row.get(row.instance_token, 0))
+            found.add_body(category, pose, (length, width, height), self._tables.row.get(row.instance_token, 0))
         boxes, ignored = found.boxes(where, "boxes")
         if len(np.unique(boxes.object_id)) < len(boxes):
             raise DataError(complaint(where, "instance_token", "each instance once in a sample", "one twice"))
-        return Labels(boxes, None, Region(ignored=ignored))
+        return Labels(boxes, None, Region(ignored=ignored), found.tilt())
 
     def files(self, i: int) -> list[Path]:
         """Return the scan and the tables."""

@@ -23,7 +23,7 @@ from dsrc.data.sweeps.nuscenes import CHANNEL, FORWARD_FROM_RIGHT
 from sensors.frame import Frame
 from sim.boxes import CLASSES
 from sim.files import write_file
-from sim.geometry import invert, pose_matrix
+from sim.geometry import invert
 
 VERSION = "v1.0-trainval"
 CATEGORIES = {
@@ -61,7 +61,7 @@ class NuScenesWriter:
         name = f"samples/{CHANNEL}/{_token(scene)}__{number:06d}.pcd.bin"
         write_file(self.out / name, cloud.tobytes())
         others = frame.truth.object_id != agent.agent_id
-        boxes, points_on = frame.truth[others], frame.points_on[row, others]
+        boxes, points_on, bodies = frame.truth[others], frame.points_on[row, others], frame.bodies()[others]
         mount = invert(agent.world_from_body) @ sweep.world_from_lidar @ FORWARD_FROM_RIGHT
         part = {
             "file": name,
@@ -75,7 +75,7 @@ class NuScenesWriter:
                     "class": CLASSES[boxes.label[k]],
                     "size": boxes.size[k, [1, 0, 2]].tolist(),
                     "points": int(points_on[k]),
-                    **_pose(pose_matrix(boxes.center[k], boxes.yaw[k])),
+                    **_pose(bodies[k]),
                 }
                 for k in range(len(boxes))
             ],

@@ -155,6 +155,7 @@ class SweepReader:
             velocity=velocity,
             points_on=np.array(counts, np.int32).reshape(len(agents), len(truth)),
             region=labels.region,
+            tilt=np.zeros((len(truth), 2)) if labels.tilt is None else labels.tilt[order],
         )
         return with_own_bodies(frame)
 

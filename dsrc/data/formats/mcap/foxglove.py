@@ -169,7 +169,7 @@ def _cloud(agent: AgentFrame, time_s: float) -> dict[str, Any]:
 
 def _entities(frame: Frame) -> list[dict[str, Any]]:
     boxes = frame.truth
-    poses = pose_matrix(boxes.center, boxes.yaw)
+    poses = frame.bodies()
     agents = [agent.agent_id for agent in frame.agents]
     entities = []
     for row, object_id in enumerate(boxes.object_id.tolist()):

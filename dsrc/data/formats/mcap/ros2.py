@@ -25,7 +25,6 @@ from dsrc.data.formats.mcap.file import (
 from sensors.frame import AgentFrame, Frame
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
-from sim.geometry import pose_matrix
 
 TF, CLOUD, MARKERS = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/PointCloud2", "visualization_msgs/msg/MarkerArray"
 _DATATYPES = {"<f4": 7, "<u2": 4, "<i4": 5}
@@ -108,7 +107,7 @@ class Ros2File(MessageFile):
 
     def _markers(self, frame: Frame) -> Any:
         boxes = frame.truth
-        poses = pose_matrix(boxes.center, boxes.yaw)
+        poses = frame.bodies()
         markers = [
             self._of(
                 "visualization_msgs/msg/Marker",
@@ -119,7 +118,7 @@ class Ros2File(MessageFile):
                 action=0,
                 pose=self._of(
                     "Pose",
-                    position=self._vector(boxes.center[row], "Point"),
+                    position=self._vector(poses[row, :3, 3], "Point"),
                     orientation=self._of("Quaternion", **quaternion(poses[row])),
                 ),
                 scale=self._vector(boxes.size[row]),

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.frame import Frame
-from sim.boxes import CLASSES
+from sim.boxes import CLASSES, tilted_poses
 from sim.errors import SettingsError
-from sim.geometry import invert, pose_angles, pose_matrix
+from sim.geometry import invert, pose_angles
 from sim.traffic.base import SIGNALS
 
 _TYPES = {
@@ -141,7 +141,7 @@ def _object(frame: Frame, row: int) -> Any:
     motion = {"velocity": np.append(frame.velocity[row], 0.0), "acceleration": np.append(frame.acceleration[row], 0.0)}
     return osi.MovingObject(
         id=osi.Identifier(value=int(boxes.object_id[row])),
-        base=_base(pose_matrix(boxes.center[row], boxes.yaw[row]), boxes.size[row], motion),
+        base=_base(tilted_poses(boxes[row : row + 1], frame.tilt[row])[0], boxes.size[row], motion),
         **kind,
     )
 
@@ -158,7 +158,7 @@ def _detected(frame: Frame, row: int, other: int) -> Any:
     """Return an object as an agent's LiDAR meets it: pose in the LiDAR's frame, motion relative to its vehicle's."""
     osi, boxes, agent = load_osi(), frame.truth, frame.agents[row]
     lidar_from_world = invert(agent.sweep.world_from_lidar)
-    pose = lidar_from_world @ pose_matrix(boxes.center[other], boxes.yaw[other])
+    pose = lidar_from_world @ tilted_poses(boxes[other : other + 1], frame.tilt[other])[0]
     own = np.flatnonzero(boxes.object_id == agent.agent_id)
     velocity = frame.velocity[other] - (frame.velocity[own[0]] if len(own) else 0.0)
     turned = lidar_from_world[:3, :2] @ velocity
