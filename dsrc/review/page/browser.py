@@ -46,7 +46,12 @@ Worker.prototype.postMessage=function(d,...rest){
 let connection=null;
 const again=()=>connection&&window.__viserMutable?.sendCamera?connection.postMessage({type:'retry'}):location.reload();
 window.addEventListener('popstate',again);
-document.addEventListener('click',e=>{const a=e.target.closest&&e.target.closest('a[href^="?"]');
+const linkAt=node=>node?.closest?.('a[href^="?"]');
+let pressed=null;
+document.addEventListener('pointerdown',e=>{pressed=linkAt(e.target);},true);
+document.addEventListener('pointerup',e=>{
+ if(!e.button&&pressed&&!pressed.isConnected&&!(e.ctrlKey||e.metaKey||e.shiftKey))linkAt(e.target)?.click();},true);
+document.addEventListener('click',e=>{const a=linkAt(e.target);
  if(!a||e.button||e.ctrlKey||e.metaKey||e.shiftKey)return;
  e.preventDefault();show(a.getAttribute('href').slice(1),'pushState');again();},true);
 const own=['fixedDpr','darkMode','showStats','websocket','pair'],store=Storage.prototype.setItem;
@@ -61,6 +66,8 @@ Storage.prototype.setItem=function(key,value){
  if(window.parent!==window)window.parent.postMessage({review:value||''},location.origin);};
 })();
 """.replace("__LINK_KEY__", LINK_KEY).replace("__OPEN_KEY__", OPEN_KEY)
+# A table that is written anew between press and release takes the pressed link away, and the browser then clicks
+# nothing: the link that lies there now is meant.
 # viser sends its camera when it is connected after a loss; with a connection that follows another it has to be asked.
 # viser's own command writes to the storage, wherever the panels are; the script takes the link out of its way.
 

@@ -15,6 +15,7 @@ from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from tests.dsrc.review.labs.drive import small_drive
+from tests.dsrc.review.page.test_browser import PATIENCE_S
 
 pytestmark = [
     pytest.mark.browser,
@@ -30,9 +31,9 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[BrowserPa
     app = ReviewApp(ReviewModel([open_drive(small_drive(tmp_path_factory.mktemp("data")))]), start_server())
     try:
         with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
-            page.wait_for("document.querySelector('canvas') && window.__viserMutable", 60.0)
-            (session,) = app.wait_session(1, 60.0)
-            session.wait_drawn()
+            page.wait_for("document.querySelector('canvas') && window.__viserMutable", PATIENCE_S)
+            (session,) = app.wait_session(1, PATIENCE_S)
+            session.wait_drawn(PATIENCE_S)
             session.update(layers_off=QUIET)
             yield page, session
     finally:
@@ -55,12 +56,12 @@ def shown(picture: np.ndarray, rgb: Sequence[int]) -> int:
 def test_lost_points_are_seen_in_their_colour_and_parameters_have_sliders(opened: tuple[BrowserPage, Session]) -> None:
     page, session = opened
     session.update(corruption="point_dropping", parameters=(("share", 0.6),), color_by="fate", point_size_m=0.3)
-    session.wait_drawn()
-    page.wait_for("document.body.innerText.includes('patch share')", 20.0)
-    page.wait_for("[...document.querySelectorAll('th')].some(e=>e.textContent==='lost')", 20.0)
+    session.wait_drawn(PATIENCE_S)
+    page.wait_for("document.body.innerText.includes('patch share')", PATIENCE_S)
+    page.wait_for("[...document.querySelectorAll('th')].some(e=>e.textContent==='lost')", PATIENCE_S)
     assert shown(image(session), palette.LOST) > 50
     session.update(corruption="clean", color_by="agent")
-    session.wait_drawn()
+    session.wait_drawn(PATIENCE_S)
     assert shown(image(session), palette.LOST) == 0
 
 
@@ -68,13 +69,13 @@ def test_the_points_of_a_cast_sensor_are_seen_in_their_colour(opened: tuple[Brow
     _, session = opened
     hidden = frozenset(agent.agent_id for agent in session.view.agents)
     session.update(sensor="vlp-16", carrier="pole", hidden=hidden, point_size_m=0.3)
-    session.wait_drawn()
+    session.wait_drawn(PATIENCE_S)
     lab = next(panel for panel in session.panels if isinstance(panel, SensorLabPanel))
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + PATIENCE_S
     while lab.cast is None and time.monotonic() < end:
         time.sleep(0.05)
     assert lab.cast is not None and len(lab.cast.sweep) > 500
     assert shown(image(session), palette.SENSOR) > 50
     session.update(sensor="")
-    session.wait_drawn()
+    session.wait_drawn(PATIENCE_S)
     assert shown(image(session), palette.SENSOR) == 0

@@ -13,7 +13,7 @@ from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.sources.live import LiveSource
 from tests.dsrc.review.conftest import street_frame
-from tests.dsrc.review.page.test_browser import SIZE, Opened, wait_for
+from tests.dsrc.review.page.test_browser import PATIENCE_S, SIZE, Opened, wait_for
 
 pytestmark = [
     pytest.mark.browser,
@@ -31,12 +31,12 @@ def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model: Re
         with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
             opened = Opened(app, page)
             session = opened.session
-            page.wait_for("document.body.innerText.includes('Errors of the run')", 60.0)
+            page.wait_for("document.body.innerText.includes('Errors of the run')", PATIENCE_S)
             press_n(opened)
             wait_for(lambda: session.state.object_id is not None)
-            view = session.wait_drawn()
+            view = session.wait_drawn(PATIENCE_S)
             assert view.details.verdict == "missed"
-            page.wait_for(f"document.body.innerText.includes('car {view.details.object_id}')", 20.0)
+            page.wait_for(f"document.body.innerText.includes('car {view.details.object_id}')", PATIENCE_S)
             # The camera's position and its point of view arrive one after the other.
             camera = session.client.camera
             wait_for(
@@ -47,11 +47,11 @@ def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model: Re
                 otherwise=lambda: f"camera at {camera.position}, looks at {camera.look_at}, asked for {view.selected}",
             )
             session.update(frame=11, object_id=None)
-            session.wait_drawn()
+            session.wait_drawn(PATIENCE_S)
             press_n(opened)
             wait_for(lambda: session.state.object_id is not None)
             press_n(opened)
-            page.wait_for("document.body.innerText.includes('No missed object after this one')", 20.0)
+            page.wait_for("document.body.innerText.includes('No missed object after this one')", PATIENCE_S)
             press_n(opened, shift=True)
             wait_for(lambda: session.state.frame == 10)
             errors = session.report(session.state).errors
@@ -64,12 +64,10 @@ def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: li
     app = ReviewApp(model, start_server())
     try:
         with open_page(app.url + compare_address("frame=2", "frame=2&corruption=fog"), (1200, 600)) as page:
-            left, right = app.wait_session(2, 60.0)
+            left, right = app.wait_session(2, PATIENCE_S)
             if left.state.corruption == "fog":
                 left, right = right, left
-            wait_for(
-                lambda: left.pair is right.pair is not None and left.view is not None and right.view is not None, 60.0
-            )
+            wait_for(lambda: left.pair is right.pair is not None and left.view is not None and right.view is not None)
             assert (left.state.corruption, right.state.corruption) == ("clean", "fog")
             time.sleep(2.0)
             before = np.array(left.client.camera.position)
@@ -84,7 +82,7 @@ def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: li
                 one, other = (np.array(getattr(cell.client.camera, name)) for cell in (left, right))
                 return bool(np.allclose(one, other, rtol=0.0, atol=0.01))
 
-            wait_for(lambda: same("position") and same("look_at"), 30.0)
+            wait_for(lambda: same("position") and same("look_at"), PATIENCE_S)
             left.update(frame=6)
             wait_for(lambda: right.view.index == 6)
             wait_for(lambda: "frame%3D6" in page.evaluate("location.search"))
@@ -95,10 +93,10 @@ def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: li
 
 def test_a_page_of_a_running_simulation_grows() -> None:
     with live_page(LiveSource("street")) as live, open_page(f"{live.url}/?fixedDpr=1", SIZE) as page:
-        (session,) = live.app.wait_session(1, 60.0)
-        page.wait_for("document.body.innerText.includes('first frame to come')", 60.0)
+        (session,) = live.app.wait_session(1, PATIENCE_S)
+        page.wait_for("document.body.innerText.includes('first frame to come')", PATIENCE_S)
         for index in range(4):
             live.source.put(street_frame(index))
             wait_for(lambda index=index: session.view is not None and session.view.index == index)
-        page.wait_for("document.body.innerText.includes('Frame 3')", 20.0)
-        page.wait_for("!document.body.innerText.includes('first frame to come')", 20.0)
+        page.wait_for("document.body.innerText.includes('Frame 3')", PATIENCE_S)
+        page.wait_for("!document.body.innerText.includes('first frame to come')", PATIENCE_S)

@@ -10,7 +10,7 @@ from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.sources.results import SharedSource
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
-from tests.dsrc.review.page.test_browser import SIZE, Opened, shown
+from tests.dsrc.review.page.test_browser import PATIENCE_S, SIZE, Opened, shown
 from tests.dsrc.review.shared import shared_street
 
 pytestmark = [
@@ -26,17 +26,17 @@ def test_boxes_have_the_colour_of_who_helped_until_the_verdict_is_asked_for() ->
             opened = Opened(app, page)
             session = opened.session
             session.update(hidden=frozenset({1000, 1002, -1}))
-            session.wait_drawn()
+            session.wait_drawn(PATIENCE_S)
             image = opened.image()
             for row in range(3):
                 assert shown(image, palette.AGENT_COLORS[row]) > 15, f"box of agent {row}"
             assert shown(image, palette.FP) > 5 and shown(image, palette.FN) > 15  # harmed, missed
             assert shown(image, palette.TP) == 0
             for text in ("coloured by who helped most", "who helped", "vehicle 1000 alone"):
-                page.wait_for(f"document.body.innerText.includes('{text}')", 20.0)
+                page.wait_for(f"document.body.innerText.includes('{text}')", PATIENCE_S)
             session.update(boxes_by="verdict")
-            session.wait_drawn()
-            page.wait_for("location.search.includes('boxes=verdict')", 20.0)
+            session.wait_drawn(PATIENCE_S)
+            page.wait_for("location.search.includes('boxes=verdict')", PATIENCE_S)
             judged = opened.image()
             assert shown(judged, palette.TP) > 15
             colors = np.array([palette.AGENT_COLORS[row] for row in range(3)])
