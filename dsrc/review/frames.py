@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dsrc.data.drives import Drive
 from dsrc.review.sources.base import DriveSource, Setup, Source
 from dsrc.review.sources.detected import corrupted_frame
+from dsrc.review.sources.history import DriveHistory
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
@@ -107,6 +108,7 @@ class Recordings:
         drives: the same; the page's word.
         names: names of the sources.
         stores: frames of each source.
+        histories: objects of the frames of each source.
     """
 
     def __init__(self, sources: Sequence[Source | Drive]) -> None:
@@ -121,6 +123,7 @@ class Recordings:
         self.drives = self.sources
         self.names = [source.name for source in self.sources]
         self.stores = [FrameStore(source) for source in self.sources]
+        self.histories = [DriveHistory(source) for source in self.sources]
         self._origin: dict[int, NDArray[np.float64]] = {}
 
     def title(self, drive: int) -> str:

@@ -83,10 +83,9 @@ def _object_card(details: ObjectDetails) -> str:
     lights = f" · {', '.join(map(quoted, details.lights))}" if details.lights else ""
     change = "" if math.isnan(details.acceleration) else f", {details.acceleration:+.1f} m/s²"
     head = f"**{details.class_name} {details.object_id}**, {_SEEN_BY[details.seen_by]}"
-    detected = ""
-    if details.verdict:
-        match = "" if math.isnan(details.score) else f", score {details.score:.2f}, IoU {details.iou:.2f}"
-        detected = f"\n\n**{details.verdict}**{match}{_why(details.cause)}"
+    match = "" if math.isnan(details.score) else f"score {details.score:.2f}, IoU {details.iou:.2f}"
+    why = ", ".join(part for part in (f"**{details.verdict}**", quoted(details.cause) or match) if part)
+    detected = f"\n\n{why}" if details.verdict else ""
     rows = "\n".join(
         f"| {s.agent} | {s.points}{'' if s.points == s.points_left else f' → {s.points_left}'} "
         f"| {'–' if math.isnan(s.fraction) else f'{100 * s.fraction:.0f} %'} |"
@@ -100,15 +99,12 @@ def _object_card(details: ObjectDetails) -> str:
 def _detection_card(details: DetectionDetails) -> str:
     head = f"**{details.class_name}, score {details.score:.2f}**"
     verdict = f", {details.verdict}" if details.verdict else ""
+    why = f"\n\n{quoted(details.cause)}" if details.cause else ""
     nearest = "overlaps no object" if details.object_id is None else f"IoU {details.iou:.2f} with {details.object_id}"
     rows = "\n".join(f"| {agent} | {points} |" for agent, points in details.points)
     place = f"{_size(details.size)} · {details.distance_m:.1f} m away"
     table = f"| | points in the box |\n|:--|--:|\n{rows}"
-    return f"{head}{verdict}{_why(details.cause)}\n\n{nearest} · {place}\n\n{table}{_shares(details.shares)}"
-
-
-def _why(cause: str) -> str:
-    return f"\n\n{quoted(cause)}" if cause else ""
+    return f"{head}{verdict}{why}\n\n{nearest} · {place}\n\n{table}{_shares(details.shares)}"
 
 
 def _shares(shares: Sequence[AgentShare]) -> str:

@@ -1,4 +1,4 @@
-"""Background threads that know no page: Worker detects over whole runs and reads ahead, Latest does the newest job."""
+"""Background threads that know no page: Worker detects over whole runs and reads, Latest does the newest job."""
 
 import logging
 import threading
@@ -11,6 +11,7 @@ from typing import Literal
 from dsrc.review.frames import FrameStore
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet
+from dsrc.review.sources.history import DriveHistory
 from sensors.corruptions import Condition
 from sim.errors import SettingsError, UserError, complaint
 
@@ -76,7 +77,10 @@ class _Ahead:
 
 
 class Worker:
-    """Thread that fills sets of detections, one run after another, and reads frames ahead between two of theirs."""
+    """Thread that fills sets of detections, one run after another, and reads frames ahead between two of theirs.
+
+    With nothing else to do it reads the objects of all frames of a source.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -85,6 +89,7 @@ class Worker:
         self._progress: dict[int, JobProgress] = {}
         self._cancelled: set[int] = set()
         self._ahead: _Ahead | None = None
+        self._over: DriveHistory | None = None
         self._count = 0
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="review-background", daemon=True)
@@ -125,6 +130,12 @@ class Worker:
         inside = tuple(row for row in rows if 0 <= row < len(store.source))
         with self._changed:
             self._ahead = _Ahead(store, inside, condition or Condition(), ego_id) if inside else None
+            self._changed.notify_all()
+
+    def read_over(self, history: DriveHistory) -> None:
+        """Read what a history lacks, in place of the one asked for before."""
+        with self._changed:
+            self._over = history
             self._changed.notify_all()
 
     def cancel(self, number: int) -> None:
@@ -168,14 +179,29 @@ class Worker:
     def _work(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._waiting or self._ahead is not None)
+                self._changed.wait_for(lambda: self._closed or self._waiting or self._ahead or self._over)
                 if self._closed:
                     return
-                number = self._waiting.popleft() if self._ahead is None else None
-            if number is None:
-                self._read_ahead()
-            else:
+                number = self._waiting.popleft() if self._ahead is None and self._waiting else None
+                over = self._over if self._ahead is None else None
+            if number is not None:
                 self._run(number)
+            elif over is not None:
+                self._read_over(over)
+            else:
+                self._read_ahead()
+
+    def _read_over(self, history: DriveHistory) -> None:
+        lacking = history.lacking()
+        try:
+            for row in lacking[:1]:
+                history.read(row)
+        except Exception:
+            log.exception("the objects of frame %d cannot be read", lacking[0])
+            lacking = []
+        with self._changed:
+            if self._over is history and len(lacking) < 2:
+                self._over = None
 
     def _read_ahead(self) -> None:
         with self._changed:

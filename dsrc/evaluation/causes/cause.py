@@ -186,6 +186,7 @@ class _Judged:
             parts.append(self._points(row))
         if hidden and kind != "out of range":
             parts.append(self._hidden(hidden, row))
+        parts += self._told(row)
         return ErrorCause(
             error="missed",
             kind=kind,
@@ -200,6 +201,15 @@ class _Judged:
             hidden_by=tuple(hidden.values()),
             helper=helper,
         )
+
+    def _told(self, row: int) -> list[str]:
+        """Which helpers have points on an object, and how old their messages are, where that is known."""
+        seen = [self.team[k] for k in range(len(self.rows)) if self.clean[k, row]]
+        ages = {one: self.known.ages[one] for one in seen if one in self.known.ages}
+        return [
+            f"{self._who(one)} saw it, its message was {'lost' if age is None else f'{1000.0 * age:.0f} ms old'}"
+            for one, age in ages.items()
+        ]
 
     def _why_missed(self, row: int) -> tuple[MissedKind, str, int | None, int | None]:
         """Kind, sentence, box and helper of a missed object."""

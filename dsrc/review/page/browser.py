@@ -2,8 +2,8 @@
 
 viser tells the server nothing about the address of the page, cannot write it, leaves the focus in a dropdown after a
 choice, maps all colours to paler ones and shows an empty page until something is drawn. The script does these five
-things and goes to the addresses that the server writes, and to those of links on the page without loading it again;
-nothing of the page depends on more.
+things, goes to the addresses that the server writes, and to those of links on the page without loading it again, and
+tells which frame of a plot is clicked; nothing of the page depends on more.
 """
 
 import time
@@ -54,6 +54,12 @@ document.addEventListener('pointerup',e=>{
 document.addEventListener('click',e=>{const a=linkAt(e.target);
  if(!a||e.button||e.ctrlKey||e.metaKey||e.shiftKey)return;
  e.preventDefault();show(a.getAttribute('href').slice(1),'pushState');again();},true);
+const goes=e=>{const s=e.buttons&1&&e.target.closest&&e.target.closest('svg[data-ends]');if(!s||!connection)return;
+ const [a,b,m]=s.dataset.ends.split(',').map(Number),r=s.getBoundingClientRect();
+ const at=Math.min(Math.max(((e.clientX-r.x)/r.width-m)/(1-2*m),0),1),updates={value:Math.round(a+at*(b-a))};
+ connection.postMessage({type:'send',
+  message:{type:'GuiUpdateMessage',uuid:s.closest('[data-goto]').dataset.goto,updates}});};
+for(const kind of ['pointerdown','pointermove'])document.addEventListener(kind,goes,true);
 const own=['fixedDpr','darkMode','showStats','websocket','pair'],store=Storage.prototype.setItem;
 const show=(link,change)=>{const kept=new URLSearchParams(location.search);
  const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...(link?[link]:[])].join('&');

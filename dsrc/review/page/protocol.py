@@ -93,6 +93,9 @@ class Page(Protocol):
     def gallery(self, state: ReviewState) -> list[Picture]:
         """Pictures of the worst listed errors, as far as they are made."""
 
+    def over_time(self, state: ReviewState, view: FrameView) -> str:
+        """SVG of the plots over time of what is selected, as far as it is known; "" without any."""
+
     def detect_all(self) -> None:
         """Detect in the background, in all frames, what the report of the state lacks."""
 

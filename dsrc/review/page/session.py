@@ -17,6 +17,7 @@ from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.overview import Overview, Overviews
 from dsrc.review.errors.report import Reports, RunReport, place_of, selection_of, to_detect
 from dsrc.review.model import ReviewModel
+from dsrc.review.over_time.strips import over_time
 from dsrc.review.page.browser import AddressBar
 from dsrc.review.page.cameras import BrowserCamera, CameraPose
 from dsrc.review.page.cells import OPEN_KEY, CellPair, cells_of, compare_address
@@ -197,6 +198,14 @@ class Session:
             made, whole = self._gallery.of(state, report)
         self._busy |= not whole
         return list(made)
+
+    def over_time(self, state: ReviewState, view: FrameView) -> str:
+        """SVG of the plots over time of what is selected, as far as it is known; "" without any."""
+        if state.object_id is not None and (history := self.model.histories[state.drive]).lacking():
+            self.worker.read_over(history)
+            self._busy = True
+        with self.using_model:
+            return over_time(self.model, state, view)
 
     def detect_all(self) -> None:
         """Detect in the background, in all frames, what the report of the state lacks."""

@@ -15,6 +15,7 @@ from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.gallery import GalleryPanel
 from dsrc.review.page.panels.notes import NotesPanel
+from dsrc.review.page.panels.over_time import OverTimePanel
 from dsrc.review.page.panels.overview import OverviewPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.protocol import Page, Panel
@@ -22,6 +23,7 @@ from dsrc.review.page.protocol import Page, Panel
 PANELS: tuple[Callable[[Page], Panel], ...] = (
     OverviewPanel,
     TimelinePanel,
+    OverTimePanel,
     ReportPanel,
     EpisodePanel,
     SelectionPanel,

@@ -1,0 +1,80 @@
+"""An object over time: what the judged detections and the frames say of it."""
+
+import numpy as np
+import pytest
+
+from dsrc.review.model import ReviewModel
+from dsrc.review.over_time.strips import over_time
+from dsrc.review.sources.base import DriveSource
+from dsrc.review.sources.history import MOST, DriveHistory
+from dsrc.review.state import ReviewState
+from sensors.frame import Frame
+from sim.errors import DataError
+from tests.dsrc.review.conftest import FakeDrive, street_frame
+
+
+def read_all(history: DriveHistory) -> None:
+    for row in history.lacking():
+        history.read(row)
+
+
+def test_a_history_has_distance_points_and_visibility_of_every_frame(drive: FakeDrive) -> None:
+    history = DriveHistory(DriveSource(drive))
+    assert history.lacking() == list(range(12))
+    read_all(history)
+    assert history.lacking() == []
+    seen = history.of(1003, 1000)
+    for row in range(12):
+        frame = street_frame(row)
+        column = frame.truth.object_id.tolist().index(1003)
+        away = frame.truth.center[column, :2] - frame.agents[0].world_from_body[:2, 3]
+        assert seen.distance_m[row] == pytest.approx(np.hypot(*away))
+        assert [seen.points[one][row] for one in (1000, 1002, -1)] == frame.points_on[:, column].tolist()
+        assert [seen.visible[one][row] for one in (1000, 1002, -1)] == [0.25, 1.0, 0.5]
+
+
+def test_an_object_that_is_nowhere_has_no_course(drive: FakeDrive) -> None:
+    history = DriveHistory(DriveSource(drive))
+    read_all(history)
+    seen = history.of(-5, 1000)
+    assert len(seen.rows) == 12 and np.isnan(seen.distance_m).all()
+
+
+def test_long_drives_are_read_at_equal_distances() -> None:
+    lacking = DriveHistory(DriveSource(FakeDrive(frames=tuple(range(1000))))).lacking()
+    assert len(lacking) <= MOST and set(np.diff(lacking)) == {4}
+
+
+def test_a_frame_that_cannot_be_read_is_a_gap(drive: FakeDrive, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read(row: int) -> Frame:
+        if row == 3:
+            raise DataError("frame 3 is damaged")
+        return street_frame(row)
+
+    monkeypatch.setattr(drive, "read", read)
+    history = DriveHistory(DriveSource(drive))
+    read_all(history)
+    assert np.flatnonzero(np.isnan(history.of(1003, 1000).distance_m)).tolist() == [3]
+
+
+def test_a_selected_object_has_score_iou_points_visibility_and_distance(model: ReviewModel) -> None:
+    state = ReviewState(frame=4, object_id=1003, threshold=0.65)
+    assert over_time(model, ReviewState(), model.view(ReviewState())) == "", "nothing is selected"
+    read_all(model.histories[0])
+    svg = over_time(model, state, model.view(state))
+    for title in ("score", "IoU", "points", "visible, %", "distance, m"):
+        assert f">{title}<" in svg
+    assert "at least 0.65" in svg and "frame 0" in svg and ">11<" in svg
+    alone = over_time(model, state, model.view(state)).count("<path")
+    assert alone > 7
+
+
+def test_points_that_a_corruption_takes_are_a_line_of_their_own(
+    model: ReviewModel, fake_fog: list[tuple[int, str, int]]
+) -> None:
+    state = ReviewState(frame=4, object_id=1003, corruption="fog")
+    view = model.view(state)
+    read_all(model.histories[0])
+    assert "left 60<" in over_time(model, state, view)
+    clean = ReviewState(frame=4, object_id=1003)
+    assert "left" not in over_time(model, clean, model.view(clean))
