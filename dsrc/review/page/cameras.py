@@ -6,6 +6,7 @@ where it was, again and again; here the world moves instead, and the camera is t
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,7 +21,8 @@ from sim.geometry import invert, pose_angles, pose_matrix
 FOV_RAD = 0.9
 UP = np.array([0.0, 0.0, 1.0])
 LATE_S = 5.0
-"""Longest time after which a browser still reports poses from before the one that it was given, s."""
+"""Longest time after which a browser still reports poses of its own from before the one that it was given, s."""
+_REMEMBERED = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +115,8 @@ class BrowserCamera:
         self._preset: Camera | None = None
         self._given: tuple[CameraPose, bool] | None = None
         self._given_at = 0.0
+        # Given before that, and not reported yet as far as is known.
+        self._earlier: deque[CameraPose] = deque(maxlen=_REMEMBERED)
         self._lock = threading.Lock()
 
     @property
@@ -174,6 +178,8 @@ class BrowserCamera:
     def set(self, pose: CameraPose, own: bool = True) -> None:
         """Set it to a pose in the scene; not `own` is that of another cell, whose user moved it."""
         with self._lock:
+            if self._given is not None:
+                self._earlier.append(self._given[0])
             self._given, self._given_at = (pose, own), time.monotonic()
         camera = self._client.camera
         camera.up_direction = pose.up
@@ -185,15 +191,23 @@ class BrowserCamera:
     def is_news(self, pose: CameraPose) -> bool:
         """Whether a reported pose is one that other cells lack.
 
-        A browser reports late: until it reports the pose that it was given last, it tells of earlier ones.
+        A browser reports late: until it reports the pose that it was given last, it tells of earlier ones. Those it was
+        given are known however late they come, as from a browser that draws in software.
         """
         with self._lock:
             if self.drawn is None:
                 return False
-            if self._given is None or time.monotonic() > self._given_at + LATE_S:
+            if self._given is None:
                 return True
             given, own = self._given
-            if not np.allclose([pose.position, pose.look_at], [given.position, given.look_at], atol=0.01):
+            if _same(pose, given):
+                self._given = None
+                self._earlier.clear()
+                return own
+            if time.monotonic() <= self._given_at + LATE_S:
                 return False
-            self._given = None
-            return own
+            return not any(_same(pose, one) for one in self._earlier)
+
+
+def _same(one: CameraPose, other: CameraPose) -> bool:
+    return bool(np.allclose([one.position, one.look_at], [other.position, other.look_at], atol=0.01))

@@ -95,6 +95,23 @@ def test_a_camera_moves_the_other_and_no_echo_comes_back(cells: tuple[SocketBrow
     wait_for(lambda: np.allclose(pose(left), [0.0, 6.0, 9.0]))
 
 
+def test_a_pose_that_a_slow_browser_was_given_long_ago_moves_no_other(
+    cells: tuple[SocketBrowser, SocketBrowser], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = cells
+    arrive(left, right)
+    monkeypatch.setattr("dsrc.review.page.cameras.LATE_S", -1.0)
+    for height in (7.0, 8.0, 9.0):
+        left.look_from((5.0, 6.0, height), (1.0, 2.0, 0.0))
+        wait_for(lambda height=height: np.allclose(pose(right), [5.0, 6.0, height]))
+    for height in (7.0, 8.0, 9.0):
+        right.look_from((5.0, 6.0, height), (1.0, 2.0, 0.0))
+    wait_for(lambda: right.session.camera._given is None)
+    np.testing.assert_allclose(pose(left), [5.0, 6.0, 9.0])
+    right.look_from((5.0, 6.0, 7.0), (1.0, 2.0, 0.0))
+    wait_for(lambda: np.allclose(pose(left), [5.0, 6.0, 7.0]))
+
+
 def test_where_a_browser_looked_before_it_was_placed_moves_no_other(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
     left, right = cells
     arrive(left, right)
