@@ -20,7 +20,8 @@ test: $(READY)
 # Tests of optional packages: ONNX, Ray, MCAP, stable-baselines3.
 test-extras: $(READY)
 	$(INSTALL) --editable '.[dev,onnx,ray,argoverse,ros,mcap,rl,osi,foreign]'
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $$(grep -rl --include 'test_*.py' importorskip tests)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m 'extra and not slow and not browser' \
+	    $$(grep -rl --include 'test_*.py' importorskip tests)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow --timeout 1800

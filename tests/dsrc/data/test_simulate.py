@@ -27,8 +27,6 @@ from sim.world.world_file import load_world
 from tests.dsrc.data.toy import same_frames
 from tests.paths import ROOT
 
-pytest.importorskip("sim.world.build")
-pytest.importorskip("sim.bodies.choice")
 FRAMES = 3
 
 
