@@ -141,13 +141,66 @@ CONTROLS = ("no_occluder", "no_conflict", "ghost")
 """Control conditions of an encounter, see `EncounterSpec`."""
 
 
+Drawn = float | tuple[float, float]
+"""Value, or [low, high] to draw from."""
+
+
+class Trigger(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """Moment at which a road user that stands sets off; one of both.
+
+    Attributes:
+        ego_before_m: the ego is this far before the conflict point, m along its path.
+        at_s: time since the start of the encounter, s.
+    """
+
+    ego_before_m: Drawn | None = None
+    at_s: Drawn | None = None
+
+
+STRUCTURES = ("building", "hedge", "wall")
+
+
+class PlacedSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """Road user or structure of an encounter of one's own.
+
+    Attributes:
+        kind: class of road users, or one of `STRUCTURES`.
+        street: role in `conflict.streets` on whose path, or beside it, it is.
+        at_m: distance of its front from the conflict point along that path, m; negative before the point. Of a road
+            user that moves without a trigger, at the time of the crash.
+        left_m: of its middle to the left of the path, m; negative to the right.
+        speed_mps: 0 stands.
+        starts: stands until then; default: it moves from the start.
+        count: so many, one behind the other.
+        gap_m: between them, m.
+        roles: `occluder` is left out in the control `no_occluder`, `helper` carries a LiDAR, the first of several.
+        size_m: length, width and height of a structure, m; vehicles have those of their type.
+    """
+
+    kind: Literal["car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "building", "hedge", "wall"]
+    street: str = "ego"
+    at_m: Drawn
+    left_m: Drawn = 0.0
+    speed_mps: Drawn = 0.0
+    starts: Trigger | None = None
+    count: Annotated[int, Meta(ge=1, le=20)] = 1
+    gap_m: Drawn = 1.5
+    roles: tuple[Literal["occluder", "helper"], ...] = ("occluder",)
+    size_m: tuple[Positive, Positive, Positive] = (10.0, 1.0, 2.0)
+
+
 class EncounterSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Scripted encounter with a road user that is occluded from the ego, see `sim.encounters`.
 
     Attributes:
-        kind: one of `sim.encounters.ENCOUNTERS`.
+        kind: one of `sim.encounters.ENCOUNTERS`, or `own`, one of one's own (`sim.encounters.own`).
         parameters: name -> value, or [low, high] to draw from; others are drawn from their default ranges.
-        streets: role -> the lanes of its path before and after the junction, on a network that the scenario names.
+        streets: role -> the lanes, or edges, of its path before and after the junction, on a network that the scenario
+            names; of an own encounter also a single one.
+        road_user: of an own encounter, class of the conflict actor; default: a car, or a pedestrian who has no street.
+            This and the next two do not appear among the settings of a drive where they are unset.
+        starts: of an own encounter, what the conflict actor waits for; default: it arrives with the ego.
+        placed: of an own encounter, all others and structures.
         control: control condition: without the occluder (`no_occluder`), without the conflict actor (`no_conflict`), or
             with a helper that reports the absent conflict actor (`ghost`).
         draw: number of the draw of the parameters, advanced by `sensors.recording.encounter_check`.
@@ -157,8 +210,13 @@ class EncounterSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """
 
     kind: str
-    parameters: dict[str, float | tuple[float, float]] = {}
+    parameters: dict[str, Drawn] = {}
     streets: dict[str, tuple[str, ...]] = {}
+    road_user: Literal["car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian"] | msgspec.UnsetType = (
+        msgspec.UNSET
+    )
+    starts: Trigger | msgspec.UnsetType = msgspec.UNSET
+    placed: tuple[PlacedSpec, ...] | msgspec.UnsetType = msgspec.UNSET
     control: Literal["", "no_occluder", "no_conflict", "ghost"] = ""
     draw: Annotated[int, Meta(ge=0)] = 0
     draws: Annotated[int, Meta(ge=1)] = 40

@@ -14,6 +14,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     "scenario": {
         "list": "scenario.List",
         "show": "scenario.Show",
+        "check": "scenario.Check",
         "import": "scenario.Import",
         "export": "scenario.Export",
     },

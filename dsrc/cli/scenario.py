@@ -178,6 +178,43 @@ class Show(msgspec.Struct, frozen=True):
         sys.stdout.write(f"{msgspec.json.format(msgspec.json.encode(scenario).decode(), indent=2)}\n")
 
 
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """Check that a scenario can be driven and recorded, and prove its encounter by rays.
+
+    Examples:
+        dsrc scenario check my_town
+        dsrc scenario check behind_lorries.toml --seed 0 1 2
+
+    Attributes:
+        scenario: shipped scenario, or path of a scenario.toml.
+        seed: seeds of everything random; default: the scenario's.
+    """
+
+    scenario: Positional[Scenario]
+    seed: tuple[int, ...] = ()
+
+    def run(self) -> None:
+        """Print a line for each seed."""
+        from sensors.recording.encounter_check import find_encounter
+        from sensors.recording.scenario_check import check_scenario
+        from sim.catalog.load import load_scenario
+
+        require_kind("scenario check", self.scenario, "scenario")
+        scenario, rows = load_scenario(self.scenario), list[Sequence[object]]()
+        for seed in self.seed or (scenario.seed,):
+            check_scenario(scenario, seed)
+            if scenario.conflict is None:
+                rows.append((scenario.name, seed, "", "", "", "", ""))
+                continue
+            found = find_encounter(scenario, seed)
+            one = found.proof
+            refused = ", ".join(f"{count} {reason}" for reason, count in found.rejected.items())
+            sees = [one.critical_ttc_s, one.ego_ttc_s, one.helper_ttc_s]
+            rows.append((scenario.name, seed, *("never" if s is None else s for s in sees), one.helper, refused))
+        head = ("scenario", "seed", "critical s", "ego sees s", "helper sees s", "helper", "refused draws")
+        sys.stdout.write(f"{Table.of(head, rows).text(shutil.get_terminal_size().columns)}\n")
+
+
 class Import(msgspec.Struct, frozen=True):
     """Make a scenario of a SUMO network, an OpenStreetMap extract or an OpenDRIVE file.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from sim.encounters import ENCOUNTERS
+from sim.encounters import KINDS, own
 from sim.errors import did_you_mean
 from sim.roads.tools import sumo_tools
 from sim.roads.wheels import wheel_folders
@@ -65,29 +65,37 @@ def wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, obj
 
 
 def _wrong_conflict(conflict: EncounterSpec, given: str) -> Iterator[tuple[str, str, object, str]]:
-    if conflict.kind not in ENCOUNTERS:
-        yield "conflict.kind", "a known encounter", conflict.kind, did_you_mean(conflict.kind, ENCOUNTERS)
+    if conflict.kind not in KINDS:
+        yield "conflict.kind", "a known encounter", conflict.kind, did_you_mean(conflict.kind, KINDS)
         return
-    roles = ENCOUNTERS[conflict.kind].roles
-    if given and not roles:
-        mapped = ", ".join(name for name, kind in ENCOUNTERS.items() if kind.roles)
+    kind = KINDS[conflict.kind]
+    is_own = conflict.kind == own.KIND
+    if given and not kind.roles:
+        mapped = ", ".join(name for name, one in KINDS.items() if one.roles)
         yield "network", f"none for {conflict.kind}; on a map there are {mapped}", given, ""
-    elif set(conflict.streets) != (set(roles) if given else set()):
-        expected = f"the lanes of {', '.join(roles)}" if given else "none without a network"
+    elif is_own and not given:
+        yield "network", "the map whose lanes conflict.streets names", "none", ""
+    elif not is_own and set(conflict.streets) != (set(kind.roles) if given else set()):
+        expected = f"the lanes of {', '.join(kind.roles)}" if given else "none without a network"
         yield "conflict.streets", expected, ", ".join(conflict.streets) or "none", ""
-    known = {parameter.name: parameter for parameter in ENCOUNTERS[conflict.kind].parameters}
-    for name, value in conflict.parameters.items():
-        field = f"conflict.parameters.{name}"
+    if is_own:
+        yield from ((*wrong, "") for wrong in own.wrong_values(conflict))
+    elif set_fields := [name for name in ("road_user", "starts", "placed") if getattr(conflict, name)]:
+        yield f"conflict.{set_fields[0]}", f"none of {conflict.kind}, which has its own; kind = 'own'", "one", ""
+    known = {parameter.name: parameter for parameter in kind.parameters}
+    for name in conflict.parameters:
         if name not in known:
             yield "conflict.parameters", f"parameters of {conflict.kind}", f"'{name}'", did_you_mean(name, known)
-            continue
+    given_of = conflict.parameters.items()
+    ranges = [(known[name], f"parameters.{name}", value) for name, value in given_of if name in known]
+    ranges += [(parameter, parameter.name, value) for parameter, value in own.drawn_of(conflict)]
+    for parameter, field, value in ranges:
         low, high = value if isinstance(value, tuple) else (value, value)
-        parameter = known[name]
         if not parameter.low <= low <= high <= parameter.high:
             expected = f"{parameter.low:g} to {parameter.high:g}, or [low, high] of them"
-            yield field, expected, list(value) if isinstance(value, tuple) else value, ""
+            yield f"conflict.{field}", expected, list(value) if isinstance(value, tuple) else value, ""
         elif parameter.whole and not (low == round(low) and high == round(high)):
-            yield field, "whole numbers", list(value) if isinstance(value, tuple) else value, ""
+            yield f"conflict.{field}", "whole numbers", list(value) if isinstance(value, tuple) else value, ""
 
 
 def _wrong_tools_path(field: str, relative: str, elsewhere: str = "") -> Iterator[tuple[str, str, object, str]]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from sim.encounters import crossing, following, on_map, turning, walking
+from sim.encounters import crossing, following, on_map, own, turning, walking
 from sim.encounters.background import with_background
 from sim.encounters.lane_paths import lane_paths_of
 from sim.encounters.networks import write_roads
@@ -33,7 +33,9 @@ for _name, _roles, _on_streets in (
     ("red_light_runner", on_map.RUNNER_ROLES, on_map.red_light_runner),
 ):
     ENCOUNTERS[_name] = replace(ENCOUNTERS[_name], roles=_roles, on_streets=_on_streets)
-"""Encounter types by id."""
+"""Encounter types by id: those that ship."""
+KINDS = {**ENCOUNTERS, own.KIND: own.OWN}
+"""Encounter types by id, with the one that a scenario describes itself."""
 
 
 def encounter_of(scenario: Scenario, seed: int) -> Encounter:
@@ -52,12 +54,17 @@ def _made(scenario_json: bytes, seed: int) -> Encounter:
     scenario = msgspec.json.decode(scenario_json, type=Scenario)
     spec = scenario.conflict
     assert spec is not None
-    kind = ENCOUNTERS[spec.kind]
+    kind = KINDS[spec.kind]
     values = {p.name: _draw(p, spec.parameters.get(p.name, p.draw), seed, spec.draw) for p in kind.parameters}
+    values |= {p.name: _draw(p, given, seed, spec.draw) for p, given in own.drawn_of(spec)}
     appearance = random_generator(seed, Stream.ENCOUNTER_LAYOUT, spec.draw, "looks")
-    if spec.streets and kind.on_streets is not None:
+    if kind.lay_out is None or (spec.streets and kind.on_streets is not None):
         net = read_network(resolve_network(scenario, seed))
-        layout = kind.on_streets(values, appearance, lane_paths_of(scenario.name, net, spec.streets))
+        streets = lane_paths_of(scenario.name, net, spec.streets)
+        if kind.on_streets is not None:
+            layout = kind.on_streets(values, appearance, streets)
+        else:
+            layout = own.lay_out(values, appearance, streets, spec, net, scenario.name)
     else:
         layout = kind.lay_out(values, appearance)
     if spec.traffic is not msgspec.UNSET and spec.traffic != "none":
@@ -119,4 +126,4 @@ def with_encounter(scenario: Scenario, seed: int) -> Scenario:
     return msgspec.structs.replace(scenario, agents=agents, network=network)
 
 
-__all__ = ["ENCOUNTERS", "Encounter", "encounter_of", "with_encounter", "network_file"]
+__all__ = ["ENCOUNTERS", "KINDS", "Encounter", "encounter_of", "with_encounter", "network_file"]

@@ -22,7 +22,8 @@ class LanePath:
 
     Attributes:
         path: path along the lanes.
-        stop_m: distance along it of the end of the approach lane, m.
+        stop_m: distance along it of the end of the approach lane, m; of a single lane, which approaches nothing, of its
+            start.
         kerb_side: -1 where traffic keeps right, 1 where it keeps left.
     """
 
@@ -32,45 +33,61 @@ class LanePath:
 
 
 def lane_paths_of(name: str, net: Network, given: Mapping[str, Sequence[str]]) -> dict[str, LanePath]:
-    """Return the paths of roles through a junction, from (approach lane, exit lane) of each.
+    """Return the paths of roles through a junction, from (approach, exit) of each, or along one road.
 
     Args:
         name: of the scenario, for messages.
-        given: role -> ids of two lanes, the second reached from the first.
+        given: role -> ids of two lanes or edges, the second reached from the first, or of one. Of the connections of
+            two edges the first one counts, of a single edge the lane at the kerb, for cars where there are any.
 
     Raises:
         ScenarioError: a lane does not exist or does not lead to the other.
     """
-    lanes = {lane.getID(): lane for edge in net.getEdges() for lane in edge.getLanes()}
+    lanes: dict[str, list[RoadLane]] = {}
+    for edge in net.getEdges():
+        lanes[edge.getID()] = sorted(edge.getLanes(), key=lambda lane: not lane.allows("passenger"))
+        lanes |= {lane.getID(): [lane] for lane in edge.getLanes()}
     found = {}
     for role, pair in given.items():
         field = f"conflict.streets.{role}"
-        if len(pair) != 2:
+        if len(pair) not in (1, 2):
             raise ScenarioError(complaint(name, field, "two lanes, before and after a junction", list(pair)))
         for lane_id in pair:
             if lane_id not in lanes:
                 raise ScenarioError(
                     complaint(name, field, "lanes of the network", f"'{lane_id}'", did_you_mean(lane_id, lanes))
                 )
-        start, end = (lanes[lane_id] for lane_id in pair)
-        link = next((link for link in start.getOutgoing() if link.getToLane() is end), None)
-        if link is None:
-            reached = [link.getToLane().getID() for link in start.getOutgoing()]
-            hint = did_you_mean(end.getID(), reached)
-            raise ScenarioError(complaint(name, field, f"a lane that {start.getID()} leads to", end.getID(), hint))
-        before, after = _shape(start), _shape(end)
-        first, last = start, end
-        while _length(before) < BEFORE_M and (back := _straightest(first.getIncoming(), before[0], first)) is not None:
-            first = back
-            via = next(link for link in back.getOutgoing() if link.getToLane() is not None and _leads(link, before[0]))
-            before = np.concatenate([_shape(back), _inside(net, via), before])
-        while _length(after) < AFTER_M and (links := last.getOutgoing()):
-            link_on = min(links, key=lambda link: _bend(last, link.getToLane()))
-            last = link_on.getToLane()
-            after = np.concatenate([after, _inside(net, link_on), _shape(last)])
-        path = ReferencePath.through(np.concatenate([before, _inside(net, link), after]), 6.0)
-        found[role] = LanePath(path, path.nearest(before[-1, :2]), net.kerb_side)
+        start, link = lanes[pair[0]][0], None
+        if len(pair) == 2:
+            links = [link for lane in lanes[pair[0]] for link in lane.getOutgoing()]
+            link = next((link for link in links if link.getToLane() in lanes[pair[1]]), None)
+            if link is None:
+                reached = [link.getToLane().getID() for link in links]
+                hint = did_you_mean(pair[1], reached)
+                raise ScenarioError(complaint(name, field, f"a lane that {pair[0]} leads to", pair[1], hint))
+            start = link.getFromLane()
+        found[role] = _path_along(net, start, link)
     return found
+
+
+def _path_along(net: Network, start: RoadLane, link: Link | None) -> LanePath:
+    """Return the path along a lane and over a connection, continued in both directions."""
+    before, nothing, first, last = _shape(start), np.zeros((0, 3)), start, start
+    inside, after, mark = nothing, nothing, before[0]
+    if link is not None:
+        mark = before[-1]
+        last = link.getToLane()
+        inside, after = _inside(net, link), _shape(last)
+    while _length(before) < BEFORE_M and (back := _straightest(first.getIncoming(), before[0], first)) is not None:
+        first = back
+        via = next(link for link in back.getOutgoing() if link.getToLane() is not None and _leads(link, before[0]))
+        before = np.concatenate([_shape(back), _inside(net, via), before])
+    while _length(after) < AFTER_M and (links := [one for one in last.getOutgoing() if one.getDirection() != "t"]):
+        onward = min(links, key=lambda link: _bend(last, link.getToLane()))
+        last = onward.getToLane()
+        after = np.concatenate([after, _inside(net, onward), _shape(last)])
+    path = ReferencePath.through(np.concatenate([before, inside, after]), 6.0)
+    return LanePath(path, path.nearest(mark[:2]), net.kerb_side)
 
 
 def meeting(one: ReferencePath, other: ReferencePath) -> Array:
@@ -118,5 +135,7 @@ def _leads(link: Link, place: Array) -> bool:
 def _straightest(lanes: Sequence[RoadLane], place: Array, lane: RoadLane) -> RoadLane | None:
     """Return the straightest predecessor of a lane; None without any."""
     real = [back for back in lanes if not back.getID().startswith(":")]
-    real = [back for back in real if any(_leads(link, place) for link in back.getOutgoing())]
+    real = [
+        back for back in real if any(_leads(link, place) and link.getDirection() != "t" for link in back.getOutgoing())
+    ]
     return min(real, key=lambda back: _bend(back, lane), default=None)

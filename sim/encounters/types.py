@@ -36,6 +36,19 @@ class Overtaking:
     of: str
 
 
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Start of an actor that stands until then.
+
+    Attributes:
+        script_s: time of the script at which it sets off, s.
+        ego_at_m: distance of the ego along its path at which it sets off, m; None for a time.
+    """
+
+    script_s: float
+    ego_at_m: float | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ScriptedActor:
     """Scripted road user.
@@ -51,6 +64,7 @@ class ScriptedActor:
         lights: (bits of signals, from, to), times in s.
         parked: engine off, without brake lights.
         overtaking: overtaking on its path; None without one.
+        start: what it waits for, standing; None: for nothing.
     """
 
     name: str
@@ -63,6 +77,7 @@ class ScriptedActor:
     lights: tuple[tuple[int, float, float], ...] = ()
     parked: bool = False
     overtaking: Overtaking | None = None
+    start: Start | None = None
 
     @property
     def kind(self) -> VehicleType:
@@ -183,16 +198,16 @@ class EncounterType:
     Attributes:
         summary: what happens, in one line.
         parameters: parameters to draw.
-        lay_out: (drawn values, generator of appearance) -> layout.
+        lay_out: (drawn values, generator of appearance) -> layout on made roads; None: on a map only.
         roles: roles whose lanes a scenario names to place the encounter on a map; empty: made roads only.
         on_streets: layout function along those lanes.
         waits: the conflict actor crosses the ego's path or comes towards it: the script's clock waits for a driven ego.
-            Not where the ego follows it in a lane, or it stands.
+            Not where the ego follows it in a lane, or it stands. Nor does it for an actor with a `Start`.
     """
 
     summary: str
     parameters: tuple[Parameter, ...]
-    lay_out: Callable[[Mapping[str, float], np.random.Generator], Layout]
+    lay_out: Callable[[Mapping[str, float], np.random.Generator], Layout] | None
     roles: tuple[str, ...] = ()
     on_streets: Callable[[Mapping[str, float], np.random.Generator, Mapping[str, LanePath]], Layout] | None = None
     waits: bool = True

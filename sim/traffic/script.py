@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sim.bodies.fleet import Fleet
 from sim.boxes import Boxes
 from sim.collisions import overlapping_pairs
-from sim.encounters import ENCOUNTERS, encounter_of
+from sim.encounters import KINDS, encounter_of
 from sim.encounters.types import HIT_S, ScriptedActor
 from sim.errors import TrafficError
 from sim.geometry import wrap_angle
@@ -70,7 +70,9 @@ class ScriptedTraffic(DrivableTraffic):
         self._ghosts = [self._start(one, FIRST_ID + 900 + row) for row, one in enumerate(claimed)]
         self._ego = self._movers[0]
         self._conflict = next((mover for mover in self._movers if "conflict" in mover.actor.roles), None)
-        waits = ENCOUNTERS[self._instance.kind].waits
+        self._meets = KINDS[self._instance.kind].waits
+        triggered = any(one.start is not None for one in (*actors, *claimed) if {"conflict"} & one.roles)
+        waits = self._meets and not triggered
         self._clock = ScriptClock(actors[0], (*actors[1:], *claimed) if waits else (), self.step_s)
         self._waits = waits
         self._hit = self._ego.actor.path.at(float(actors[0].place(HIT_S)))[0][:2]
@@ -104,7 +106,7 @@ class ScriptedTraffic(DrivableTraffic):
         if ego is not self._ego:
             return None
         path = ego.actor.path
-        if self._waits or self._conflict is None:
+        if self._meets or self._conflict is None:
             return min(path.nearest(self._hit) + GOAL_M, path.length - 1.0) - ego.at_m
         blocked = path.nearest(self._conflict.actor.path.at(float(self._conflict.actor.place(60.0)))[0][:2])
         lengths = 0.5 * (ego.actor.kind.size[0] + self._conflict.actor.kind.size[0])
@@ -131,7 +133,7 @@ class ScriptedTraffic(DrivableTraffic):
             raise TrafficError("this scripted traffic is closed")
         before = self._actors
         # Actors that are not where their script has them, nor with the others.
-        strays = {mover.object_id for mover in self._movers if not mover.is_on_script(self._script_s)}
+        strays = {mover.object_id for mover in self._movers if not mover.is_on_script(self._own_s(mover))}
         if self._waits:
             self._clock.advance(self.time_s, self._ego.at_m, self._ego.speed, driven=self._driven)
         self._steps += 1
@@ -206,6 +208,10 @@ class ScriptedTraffic(DrivableTraffic):
         """Time of the script, s."""
         return self.time_s + self._clock.offset_s
 
+    def _own_s(self, mover: Mover) -> float:
+        """Return the time of an actor's own script, s."""
+        return mover.own_s(self._script_s, self._ego)
+
     def _move(self, mover: Mover, before: Actors, strays: set[int]) -> None:
         if mover.crashed:
             mover.speed = 0.0
@@ -217,8 +223,9 @@ class ScriptedTraffic(DrivableTraffic):
             mover.speed = 0.0
             return
         limit = self._limit(mover, before, strays) if self._disturbed else math.inf
-        if mover.follows and limit >= self._clock.rate * float(mover.actor.pace.at(self._script_s)):
-            mover.follow_script(self._script_s, self._clock.rate)
+        own_s = self._own_s(mover)
+        if mover.follows and limit >= self._clock.rate * float(mover.actor.pace.at(own_s)):
+            mover.follow_script(own_s, self._clock.rate)
             return
         mover.drive(mover.commanded if mover.commanded is not None else min(mover.scripted_speed(), limit), self.step_s)
 

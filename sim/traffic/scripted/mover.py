@@ -30,6 +30,7 @@ class Mover:
         placed: x, y, m, and heading, rad, in place of those of its path; None on its path.
         gained_mps2: change of its speed in the last step, m/s2.
         history: positions one and two steps ago.
+        set_off_s: time of the script at which it set off, of an actor with a start; None before.
     """
 
     actor: ScriptedActor
@@ -44,7 +45,24 @@ class Mover:
     placed: tuple[float, float, float] | None = None
     gained_mps2: float = 0.0
     history: list[NDArray[np.float64]] = field(default_factory=list)
+    set_off_s: float | None = None
     _places_m: NDArray[np.float64] | None = None
+
+    def own_s(self, script_s: float, ego: "Mover") -> float:
+        """Return the time of its own script at a time of the common one, s: it waits for its start.
+
+        Args:
+            ego: whose place may set it off, already moved.
+        """
+        start = self.actor.start
+        if start is None or start.ego_at_m is None:
+            return script_s
+        if self.set_off_s is None and ego.at_m >= start.ego_at_m:
+            late_s = (ego.at_m - start.ego_at_m) / max(ego.speed, 0.1)
+            self.set_off_s = start.script_s if ego.follows else script_s - late_s
+        if self.set_off_s is None:
+            return min(script_s, start.script_s)
+        return script_s - self.set_off_s + start.script_s
 
     @property
     def on_path(self) -> bool:
