@@ -59,6 +59,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
     from dsrc.detectors.texts import SHIPPED_DETECTOR
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
+    from dsrc.evaluation.report.differences import stored_differences
     from dsrc.review.page.output.export import export_html
     from dsrc.review.page.output.screenshot import find_chromium
     from dsrc.runs.executors import Pool
@@ -94,7 +95,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
             progress=report,
         )
     console = Console(highlight=False)
-    console.print(table)
+    console.print(table, stored_differences(out / "results" / "results.json").terminal())
     console.print(summary_table(driven))
     console.print(lesson({result.perception: result.outcome for result in driven.results}))
     for what, where in {

@@ -66,12 +66,16 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
         from dsrc.evaluation.causes.results import cause_tables
         from dsrc.evaluation.evaluate import evaluate_drives
         from dsrc.evaluation.report.ap_table import result_table
+        from dsrc.evaluation.report.choice import choice_table
+        from dsrc.evaluation.report.differences import stored_differences
         from sim.files import check_apart
 
         check_apart(self.out, self.data)
         with progress(f"evaluate {self.data}") as report:
             rows = evaluate_drives(self, self.pool, report)
-        Console(highlight=False).print(result_table(rows), *cause_tables(self.out))
+        differences = stored_differences(self.out / "results.json")
+        shown = [differences.terminal()] if differences.differences else []
+        Console(highlight=False).print(result_table(rows), *shown, choice_table(rows), *cause_tables(self.out))
         made(self.out, "results, plots and all detections", "view", self.out)
 
 

@@ -8,13 +8,13 @@ from dsrc.data.drives import open_drives
 from dsrc.detectors.levelled import height_in_use
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.causes.results import write_causes
-from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
+from dsrc.evaluation.config import Benchmark, DatasetSpec, DifferenceSpec, MethodSpec, check, named
 from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.figures.bars import corruption_bars
-from dsrc.evaluation.figures.curves import precision_recall_curves
+from dsrc.evaluation.figures.curves import precision_recall_curves, reliability_curves
 from dsrc.evaluation.figures.points import robustness_scatter
 from dsrc.evaluation.metrics.ap import evaluate_matches
-from dsrc.evaluation.report.report import provenance_of, stored_index, write_results
+from dsrc.evaluation.report.report import difference_tables, provenance_of, stored_index, write_results
 from dsrc.evaluation.results import CLEAN, Row, summary_rows
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, fitting_kinds, run_plan
 from dsrc.evaluation.stored import write_index
@@ -55,13 +55,14 @@ def evaluate_drives(config: Evaluation, pool: Pool = SERIAL, progress: Progress 
     entries = list(_labelled(result, channels))
     rows = [_with_curves(entry, config.out / "cells", channels) for entry, _ in entries]
     summaries = summary_rows(rows)
-    write_results(config.out, made_by, [*entries, *_summary_entries(entries, summaries)])
+    write_results(config.out, made_by, [*entries, *_summary_entries(entries, summaries)], difference_tables(result))
     write_index(config.out, stored_index(result, entries))
     write_causes(config.out, made_by, entries, config.seed)
     rows += summaries
     figures = {
         "ap_per_corruption": corruption_bars(rows),
         "precision_recall": precision_recall_curves(rows),
+        "reliability": reliability_curves(rows),
     }
     if summaries:
         figures["mce_map"] = robustness_scatter(rows)
@@ -90,10 +91,10 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
         files[name] = path
     use = height_in_use("evaluate", config.height)
     methods = [MethodSpec(name=name, detectors=(path,), use=use) for name, path in files.items()]
+    first, *others = files
     drives = open_drives(config.data)
     if config.ego_alone and any(len(drive.agents) > 1 for drive in drives):
-        first, path = next(iter(files.items()))
-        methods.append(MethodSpec(name=f"{first}, {EGO_ALONE}", detectors=(path,), use=use, agents=1))
+        methods.append(MethodSpec(name=f"{first}, {EGO_ALONE}", detectors=(files[first],), use=use, agents=1))
     plan = Benchmark(
         name="evaluate",
         methods=tuple(methods),
@@ -105,6 +106,7 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
         channel=config.radios(config.channel) or (IDEAL,),
         seed=config.seed,
         frames=config.frames,
+        differences=tuple(DifferenceSpec(method=first, baseline=other) for other in others),
     )
     check(plan, "evaluate")
     return plan

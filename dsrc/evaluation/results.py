@@ -27,7 +27,8 @@ class Row:
         frames: number of frames.
         truth: number of ground-truth boxes.
         detections: number of detected boxes.
-        metrics: average precisions by name, see `metric_name`; in an `mce` row the mean corruption errors of them.
+        metrics: average precisions by name, see `metric_name`, and the numbers of `choice_metrics`; in an `mce` row the
+            mean corruption errors of the former.
         seconds_per_frame: median time of a detection; not in result files, for it differs between runs.
         bytes_per_frame: bytes sent by collaborators, mean over the frames; None without a channel.
         message_age_s: age of the messages used, mean; None without a channel or a message.
@@ -96,6 +97,7 @@ def summary_rows(rows: Sequence[Row]) -> list[Row]:
             metrics = {
                 name: formula(ap, {kind: row.metrics[name] for kind, row in corrupted.items()})
                 for name, ap in clean.metrics.items()
+                if name.startswith("ap_")
             }
             summaries.append(Row(method, condition, 0, clean.frames, clean.truth, 0, metrics))
     return summaries

@@ -22,6 +22,7 @@ from dsrc.evaluation.cells import CellJob, make_cells
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
 from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
+from dsrc.evaluation.metrics.calibration import IOU, choice_metrics
 from dsrc.evaluation.metrics.intervals import RankedDetections
 from dsrc.evaluation.results import Row, make_row
 from dsrc.models.fusion import FUSIONS
@@ -342,17 +343,19 @@ class _CellPlanner:
 def _case_result(case: Case, folder: Path, cells: Sequence[CellJob], keep_detections: bool) -> CaseResult:
     keys = [job.settings.key for job in cells]
     result = join_results([read_cell(folder, key) for key in keys])
+    whole = evaluate_matches(result.matches)
     row = make_row(
         case.method,
         case.condition.kind,
         case.condition.severity,
-        evaluate_matches(result.matches),
+        whole,
         result.seconds,
         result.traffic,
     )
     # The ego alone was sent nothing.
     sent = 0.0 if row.bytes_per_frame is None else row.bytes_per_frame
-    metrics = {**row.metrics, **by_visibility(result)}
+    choice = choice_metrics(whole.curves[IOU], result.matches, result.table.points)
+    metrics = {**row.metrics, **by_visibility(result), **choice}
     row = replace(row, metrics=metrics, bytes_per_frame=sent, result=None)
     ranked = RankedDetections.of(result.matches) if keep_detections else None
     return CaseResult(case, row, tuple(keys), tuple(job.drive for job in cells), ranked)

@@ -1,13 +1,15 @@
-"""Curves: AP over a swept quantity, precision over recall, losses over the epochs of a training."""
+"""Curves: AP over a swept quantity, precision over recall and over score, losses over the epochs of a training."""
 
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dsrc.evaluation.metrics.ap import envelope
+from dsrc.evaluation.metrics.calibration import IOU, reliability
 from dsrc.evaluation.metrics.intervals import IOUS
 from dsrc.evaluation.results import CLEAN, Row, condition_title, find_row, methods_of
 from dsrc.tables.figure import NAME_IN, WIDTH_IN, Style, add_legend, figure_style, panels, styles_of
@@ -95,6 +97,30 @@ def precision_recall_curves(rows: Sequence[Row]) -> Figure:
             axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", title=f"IoU {iou}")
         parts[0].set_ylabel(f"precision, {condition_title(CLEAN)} (bird's-eye IoU)")
         add_legend(figure, parts[0])
+    return figure
+
+
+def reliability_curves(rows: Sequence[Row]) -> Figure:
+    """Draw precision over score in clean frames, a curve for each method whose row has curves.
+
+    Dots grow with the number of detections.
+    """
+    styles = styles_of(methods_of(rows))
+    with figure_style():
+        figure, (axes,) = panels(0.7 * WIDTH_IN, 4.0)
+        axes.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
+        for method, style in styles.items():
+            row = find_row(rows, method, CLEAN)
+            if row is None or row.result is None or IOU not in row.result.curves:
+                continue
+            curve = row.result.curves[IOU]
+            bins = reliability(curve.score, np.diff(curve.recall, prepend=0.0) > 0.0)
+            label = f"{method}, ECE {100 * bins.error:.1f} %"
+            axes.plot(bins.score, bins.precision, color=style.color, linestyle=style.dashes, linewidth=2, label=label)
+            size = 8.0 + 120.0 * bins.count / max(bins.count.max(), 1)
+            axes.scatter(bins.score, bins.precision, s=size, color=style.color, zorder=3)
+        axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="score", ylabel="precision, clean (bird's-eye IoU 0.5)")
+        add_legend(figure, axes)
     return figure
 
 

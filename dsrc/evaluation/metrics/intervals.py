@@ -18,7 +18,7 @@ What teachers should know about the bootstrap, The American Statistician 69 (201
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -184,6 +184,14 @@ class Difference:
     def resolved(self) -> bool:
         """Whether both intervals exclude 0."""
         return self.by_frame.excludes_zero and self.by_drive.excludes_zero
+
+    @classmethod
+    def of_listed(cls, listed: Mapping[str, Any]) -> "Difference":
+        """Difference from its fields as `listed` gives them, without the seeds."""
+        number = {name: math.nan if value is None else value for name, value in listed.items()}
+        by_frame, by_drive = (Interval(number[f"{u}_low"], number[f"{u}_high"]) for u in ("by_frame", "by_drive"))
+        value = Stat(number["difference"], number["spread"])
+        return cls(listed["method"], listed["baseline"], listed["condition"], listed["iou"], value, by_frame, by_drive)
 
     def listed(self) -> dict[str, Any]:
         """Fields as JSON types; unknown numbers are None."""

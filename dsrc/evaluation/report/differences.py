@@ -1,8 +1,10 @@
 """Differences between pairs of methods, with intervals by frame and by drive."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +73,22 @@ class DifferenceTable:
         rows = [TableRow(self._pair(group[0]), tuple(map(_by_drive, group))) for group in _groups(shown, len(heads))]
         return self._table([*map(Column, heads)], rows, self.footnotes, self.summary_note).markdown()
 
+    def terminal(self) -> Table:
+        """Table of clean frames and the mean of the corruptions for the terminal; what is resolved stands below it."""
+        columns = [Column("condition", align="left")]
+        columns += [Column(f"{text}{iou}") for iou in IOUS for text in ("AP@", "by frame ")]
+        shown = [one for one in self.differences if one.condition in (CLEAN, MEAN_CORRUPTED)]
+        rows = [
+            TableRow(
+                self._pair(group[0]), (_titled(group[0].condition), *(t for one in group for t in _texts(one)[:2]))
+            )
+            for group in _groups(shown, len(IOUS))
+        ]
+        title = "Differences, points, with 95 % intervals"
+        return Table(
+            "differences", title, "difference", tuple(columns), tuple(rows), caption=self.claims(), grouped=True
+        )
+
     def _table(self, columns: Sequence[Column], rows: Sequence[TableRow], below: tuple[str, ...], note: str) -> Table:
         head = "Difference"
         return Table("differences", self.title, head, tuple(columns), tuple(rows), note, footnotes=below)
@@ -93,6 +111,14 @@ class DifferenceTable:
 
     def _pair(self, one: Difference) -> str:
         return f"{self.marked[one.method]} − {self.marked[one.baseline]}"
+
+
+def stored_differences(results: Path) -> DifferenceTable:
+    """Differences of a `results.json` that this process wrote."""
+    listed = json.loads(results.read_text(encoding="utf-8"))["differences"]
+    found = tuple(Difference.of_listed(one) for one in listed)
+    names = {name: name for one in found for name in (one.method, one.baseline)}
+    return DifferenceTable("", "", "", names, (), found)
 
 
 def difference_table(

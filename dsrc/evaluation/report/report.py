@@ -13,6 +13,7 @@ from dsrc.evaluation.figures.bars import difference_map, table_heatmap
 from dsrc.evaluation.figures.curves import table_lines
 from dsrc.evaluation.figures.points import difference_dots, robustness_scatter, traffic_scatter
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
+from dsrc.evaluation.report.choice import choice_sheet
 from dsrc.evaluation.report.dataset_results import NAMES, DatasetResults
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
 from dsrc.evaluation.report.tables import axes_of, severity_table, sweep_table, table_1, visibility_table
@@ -43,14 +44,9 @@ def write_report(result: BenchmarkResult, out: Path) -> list[Section]:
         Sections of a document, names and pictures below the folder of their dataset.
     """
     made_by = provenance_of(result)
-    tables = _difference_tables(result)
-    differences = [
-        {"dataset": dataset, "family": family, **one.listed()}
-        for (dataset, family), table in tables.items()
-        for one in table.differences
-    ]
+    tables = difference_tables(result)
     entries = [(entry, result.trained[entry.case.method][entry.case.training]) for entry in result.entries]
-    write_results(out, made_by, entries, differences)
+    write_results(out, made_by, entries, tables)
     write_index(out, stored_index(result, entries))
     sections = []
     for dataset in result.drives:
@@ -64,13 +60,19 @@ def write_results(
     out: Path,
     made_by: Mapping[str, object],
     entries: Sequence[tuple[CaseResult, TrainedDetector]],
-    differences: Sequence[Mapping[str, object]] = (),
+    tables: Mapping[tuple[str, Family], DifferenceTable] | None = None,
 ) -> None:
     """Write `results.json`, `results.csv` and `timings.csv`; a warning names former results that they replace.
 
     Args:
         entries: results and their detectors, a row each.
+        tables: differences between methods by dataset and family, see `difference_tables`.
     """
+    differences = [
+        {"dataset": dataset, "family": family, **one.listed()}
+        for (dataset, family), table in (tables or {}).items()
+        for one in table.differences
+    ]
     if gone := _methods_of(out / "results.csv") - _methods_in(made_by):
         names = ", ".join(f"{method} on {dataset}" for method, dataset in sorted(gone))
         LOG.warning("%s: replaces the results of %s", out / "results.csv", names)
@@ -129,7 +131,7 @@ def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, Tr
     return StoredIndex(seed=result.plan.seed, drives=tuple(drives), runs=tuple(runs))
 
 
-def _difference_tables(result: BenchmarkResult) -> dict[tuple[str, Family], DifferenceTable]:
+def difference_tables(result: BenchmarkResult) -> dict[tuple[str, Family], DifferenceTable]:
     """Tables of differences by dataset and family; empty without pairs to compare."""
     plan = result.plan
     if not plan.differences:
@@ -213,6 +215,7 @@ def _dataset(
         if results.kinds():
             title = f"mCE against mean AP, {results.titled}"
             writer.figure(f"figure_5{suffix}", robustness_scatter(mean_rows(results, trained), styles, title), title)
+    writer.table(choice_sheet(first))
     if (sheet_of_sight := visibility_table(first)) is not None:
         writer.table(sheet_of_sight, table_heatmap(sheet_of_sight))
     for axis in axes_of(result):

@@ -24,7 +24,7 @@ from tests.dsrc.evaluation.small import write_detector, write_drives
 
 FILES = {
     "results.csv", "results.json", "timings.csv", "ap_per_corruption.png", "mce_map.png", "precision_recall.png",
-    "causes.csv",
+    "reliability.png", "causes.csv",
 }  # fmt: skip
 
 

@@ -10,7 +10,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from dsrc.evaluation.figures.bars import corruption_bars, table_heatmap
-from dsrc.evaluation.figures.curves import apart, precision_recall_curves, table_lines, training_curves
+from dsrc.evaluation.figures.curves import (
+    apart,
+    precision_recall_curves,
+    reliability_curves,
+    table_lines,
+    training_curves,
+)
 from dsrc.evaluation.figures.points import robustness_scatter, traffic_scatter
 from dsrc.evaluation.metrics.ap import FrameResult, evaluate
 from dsrc.evaluation.report.tables import ap_column
@@ -118,9 +124,11 @@ def test_curves_are_drawn_where_they_are_known() -> None:
     result = evaluate([FrameResult(Detections(truth, np.array([0.9, 0.8], np.float32)), truth)])
     panels = precision_recall_curves([make_row("dsrc", "clean", 0, result), *some_rows(("plain",))]).axes
     assert [len(axes.lines) for axes in panels] == [2, 2]
+    (axes,) = reliability_curves([make_row("dsrc", "clean", 0, result), *some_rows(("plain",))]).axes
+    assert [line.get_label() for line in axes.lines[1:]] == ["dsrc, ECE 15.0 %"]
 
 
-@pytest.mark.parametrize("figure", [corruption_bars, robustness_scatter, precision_recall_curves])
+@pytest.mark.parametrize("figure", [corruption_bars, robustness_scatter, precision_recall_curves, reliability_curves])
 @pytest.mark.parametrize("rows", [[], some_rows(("one",)), some_rows(tuple("abcdefghij"))])
 def test_every_figure_can_be_saved_and_leaves_no_trace(
     figure: Callable[[list[Row]], Figure], rows: list[Row], tmp_path: Path

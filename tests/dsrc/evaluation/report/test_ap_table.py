@@ -1,10 +1,12 @@
 import io
 import math
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from dsrc.evaluation.report.ap_table import result_table
+from dsrc.evaluation.report.choice import choice_table
 from dsrc.evaluation.results import MCE, Row, conditions_of, find_row, methods_of, summary_rows
 
 
@@ -51,3 +53,19 @@ def test_without_corruptions_or_without_clean_there_is_no_summary() -> None:
     rows = some_rows()
     assert summary_rows([r for r in rows if r.condition == "clean"]) == []
     assert summary_rows([r for r in rows if r.condition == "fog"]) == []
+
+
+def test_the_table_of_operating_points_shows_shares_in_percent_and_fits_80_columns() -> None:
+    numbers = {"best_score": 0.25, "best_recall": 0.923, "helped_recall": math.nan, "false_boxes": 1.6, "ece": 0.264}
+    rows = [Row("a detector", "clean", 0, 10, 40, 35, {"ap_bev_50": 0.8, **numbers})]
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(choice_table([*rows, *summary_rows(rows)]))
+    text = console.export_text()
+    line = next(line for line in text.splitlines() if "a detector" in line)
+    assert line.split()[-4:] == ["0.25", "92.3", "1.6", "26.4"]
+
+
+def test_corruption_errors_are_of_average_precisions_alone() -> None:
+    rows = some_rows()
+    rows = [replace(row, metrics={**row.metrics, "ece": 0.2}) for row in rows]
+    assert all("ece" not in row.metrics for row in summary_rows(rows))

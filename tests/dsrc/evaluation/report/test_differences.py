@@ -19,7 +19,7 @@ from dsrc.evaluation.metrics.ap import evaluate_matches
 from dsrc.evaluation.metrics.intervals import Interval, RankedDetections
 from dsrc.evaluation.metrics.robustness import mce
 from dsrc.evaluation.report.dataset_results import DatasetResults
-from dsrc.evaluation.report.differences import DifferenceTable, _by_drive, difference_table
+from dsrc.evaluation.report.differences import DifferenceTable, _by_drive, difference_table, stored_differences
 from dsrc.evaluation.report.report import write_report
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from tests.dsrc.evaluation.metrics.test_intervals import judged_of
@@ -258,3 +258,15 @@ def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path: Path) -> No
         one = next(d for d in listed if (d["family"], d["condition"], d["iou"]) == (family, "beam_missing", 0.5))
         difference = (rows["DSRC", 0] + rows["DSRC", 1]) / 2 - rows["plain", 0]
         assert one["difference"] == pytest.approx(difference, abs=1e-12)
+
+
+def test_stored_differences_are_those_that_were_written(table: DifferenceTable, tmp_path: Path) -> None:
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps({"differences": [one.listed() for one in table.differences]}))
+    stored = stored_differences(path)
+    assert [one.listed() | {"seeds": ""} for one in stored.differences] == [
+        one.listed() | {"seeds": ""} for one in table.differences
+    ]
+    assert [row.cells[0] for row in stored.terminal().rows] == ["Clean", "Mean of the corruptions"] * 2
+    resolved = any(one.resolved for one in table.differences)
+    assert stored.terminal().caption.startswith("Resolved" if resolved else "No difference")
