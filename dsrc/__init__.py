@@ -13,6 +13,8 @@ import dsrc.outputs as _outputs  # noqa: F401 - whoever writes knows what may be
 
 if TYPE_CHECKING:
     from dsrc.closed_loop.campaign.run import drive_episodes
+    from dsrc.closed_loop.driving.check import check_driver
+    from dsrc.closed_loop.driving.open import open_driver
     from dsrc.closed_loop.environments import register_environments
     from dsrc.closed_loop.environments.driving import DrivingEnv
     from dsrc.closed_loop.log import EpisodeLog
@@ -63,6 +65,8 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "dsrc.closed_loop.campaign.run": ("drive_episodes",),
+    "dsrc.closed_loop.driving.check": ("check_driver",),
+    "dsrc.closed_loop.driving.open": ("open_driver",),
     "dsrc.closed_loop.environments": ("register_environments",),
     "dsrc.closed_loop.environments.driving": ("DrivingEnv",),
     "dsrc.closed_loop.log": ("EpisodeLog",),
@@ -164,6 +168,7 @@ __all__ = [
     "ClosedLoop",
     "LoopSettings",
     "open_perception",
+    "open_driver",
     "Percept",
     "Tracks",
     "EgoState",
@@ -192,6 +197,7 @@ __all__ = [
     "register_fusion",
     "check_fusion",
     "check_detector",
+    "check_driver",
     "UserError",
 ]
 

@@ -1,4 +1,4 @@
-"""Examples: eleven short scripts, each of which prints at once."""
+"""Examples: thirteen short scripts, each of which prints at once."""
 
 import ast
 from pathlib import Path
@@ -21,6 +21,8 @@ SMALL = {
     "09_train": (("--epochs", "1", "--frames", "1"), "above the score threshold"),
     "10_review": (("--frames", "1"), "opens in any browser"),
     "11_detector_process": (("--test",), "boxes"),
+    "12_highway_env_driver": (("--seeds", "1"), "red light: passes it"),
+    "13_driver_process": (("--test",), "13_driver_process.py"),
 }
 """Arguments that make an example fast, and a part of what it prints."""
 

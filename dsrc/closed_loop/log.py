@@ -36,7 +36,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         ego_id: object id of the ego.
         perception: its perception, as the user named it.
         detector: SHA-256 of the detector file; "" without one.
-        driver: name of the driver.
+        driver: name of the driver, as the user named it.
         corruption: kind, or `clean`.
         severity: 1 to 5; 0 for clean.
         family: family of the corruption's settings.
@@ -48,6 +48,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         versions: versions of the packages that can change a number.
         fault: faults beside corruption and channel, see `dsrc.faults.fault`; "" without any.
         defence: against attacks, names between commas; "" without any.
+        driver_sha256: of a driver of one's own; "" of a shipped one.
     """
 
     scenario: Scenario
@@ -67,6 +68,7 @@ class EpisodeSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     versions: dict[str, str] = {}
     fault: str = ""
     defence: str = ""
+    driver_sha256: str = ""
 
     @property
     def condition(self) -> Condition:
@@ -81,12 +83,12 @@ class EpisodeLog:
         settings: what decided the episode.
         ticks: everything of its steps, rounded to the resolution of the log.
         outcome: how it ended.
-        message: explanation of a failed perception, or "".
+        message: explanation of a failed perception or driver, or "".
         actors: ground truth as a traffic log: one step before the first tick, then tick by tick.
 
     Args:
         before: actors one step before the first tick, the `before` of its perception.
-        message: explanation of a failed perception.
+        message: explanation of a failed perception or driver.
 
     Raises:
         ValueError: a number is not finite, or beyond 1e9 in its unit; only velocities of percepts may be NaN.
@@ -121,7 +123,7 @@ class EpisodeLog:
         about = msgspec.to_builtins(
             _About(settings=self.settings, outcome=self.outcome, message=self.message, claims=tuple(claims))
         )
-        for name in ("fault", "defence"):
+        for name in ("fault", "defence", "driver_sha256"):
             if not about["settings"][name]:
                 del about["settings"][name]
         columns = {

@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from dsrc.closed_loop.driving.checked import CheckedDriver
 from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import choose_ego, ego_state, without_ego
@@ -49,7 +50,7 @@ class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         look_ahead_s: reaction time of the stopping distance that a detector's range is shifted ahead to cover, s, by
             half its reach at most; 0 for that of the perception, which is opened with it.
         stuck_s: time of standing without a red light after which an episode ends, s; it must have moved before.
-        perception_limit_s: longest computation of one percept, s of wall time.
+        perception_limit_s: longest computation of one percept, and of one decision, s of wall time.
 
     Raises:
         SettingsError: a time is not finite, below 0, or 0 where only the latency and the look ahead may be.
@@ -159,7 +160,7 @@ class ClosedLoop:
         scenario: of the current episode, with its proven encounter.
         ticks: everything of the current episode, step by step.
         outcome: how it ended; None while it runs.
-        message: explanation of a failed perception.
+        message: explanation of a failed perception or driver.
         seconds: wall time by stage of the current episode, s.
 
     Args:
@@ -215,7 +216,8 @@ class ClosedLoop:
         self._own = EgoFaults(self._faults, seed, self.ego_id, traffic.step_s)
         self._clock = PerceptionClock(self.perception, self.settings, traffic.step_s, self._own)
         self._world: SolidWorld | None = None
-        self.driver.reset(lanes_of(self.scenario, seed))
+        self._wheel = CheckedDriver(self.driver, self.settings.perception_limit_s)
+        self._wheel.reset(lanes_of(self.scenario, seed))
         with self._timed("reset"):
             self._clock.begin(self.scenario, self.ego_id, seed)
         self.seed, self._route_m = seed, traffic.goal_m(self.ego_id)
@@ -234,7 +236,7 @@ class ClosedLoop:
             acceleration_mps2: in place of the driver's decision, m/s2; the vehicle's limits bound it.
 
         Raises:
-            ValueError: the acceleration, or that of the driver, is not finite.
+            ValueError: the acceleration is not finite.
             TrafficError: the episode has not begun or has ended.
         """
         last = self._running()
@@ -243,8 +245,6 @@ class ClosedLoop:
                 raise ValueError(f"acceleration_mps2 must be finite, got {acceleration_mps2}")
             self.ticks[-1] = last = replace(last, decision=Decision(acceleration_mps2))
         limits = last.ego.limits
-        if not math.isfinite(last.decision.acceleration_mps2):
-            raise ValueError(f"driver: expected a finite acceleration, found {last.decision.acceleration_mps2}")
         wanted = limits.bounded(last.decision.acceleration_mps2)
         made = limits.bounded(self._own.acted(wanted, last.actors.time_s - self.start_s))
         self.traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + made * self.traffic.step_s))
@@ -350,12 +350,14 @@ class ClosedLoop:
             percept = self._clock.percept(before, now, claims, ego)
         if self._clock.failure:
             self.outcome, self.message = Outcome.PERCEPTION_FAILED, self._clock.failure
-        percept = shown(self.driver, percept)
+        percept = self._wheel.shown(percept)
         with self._timed("track"):
             others = None if percept is None else without_ego(percept, self._known(self._ego_at(percept.time_s, ego)))
             tracks = self._tracker.update(others, now.time_s)
         with self._timed("decide"):
-            decision = self.driver.decide(self._known(ego), tracks) if contact is None else Decision(0.0)
+            decision = self._wheel.decide(self._known(ego), tracks) if contact is None else Decision(0.0)
+        if self._wheel.failure and contact is None and self.outcome is None:
+            self.outcome, self.message = Outcome.DRIVER_FAILED, self._wheel.failure
         self.ticks.append(Tick(now, ego, percept, tracks, decision, claims, contact))
 
     def _known(self, ego: EgoState) -> EgoState:
@@ -399,18 +401,6 @@ class ClosedLoop:
         began = time.perf_counter()
         yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - began
-
-
-def shown(driver: Driver, percept: Percept | None) -> Percept | None:
-    """Return a percept without its seen space, which a driver that looks at it has seen then, see `SeeingDriver`.
-
-    Sweeps of a whole episode would not fit into memory.
-    """
-    if percept is None or percept.seen is None:
-        return percept
-    if (see := getattr(driver, "see", None)) is not None:
-        see(percept.seen)
-    return replace(percept, seen=None)
 
 
 def checked_percept(percept: Percept, now_s: float) -> Percept:

@@ -7,12 +7,13 @@ themselves. What its driver would have decided is in the ticks.
 import msgspec
 import numpy as np
 
+from dsrc.closed_loop.driving.checked import CheckedDriver
 from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import without_ego
 from dsrc.closed_loop.ego_faults import EgoFaults
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.loop import LoopSettings, PerceptionClock, shown
+from dsrc.closed_loop.loop import LoopSettings, PerceptionClock
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Decision, Driver, Outcome, Perception, Tick
 
@@ -26,8 +27,8 @@ def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | 
     """
     settings = log.settings
     loop = msgspec.convert(settings.loop, LoopSettings)
-    driver, tracker = driver or PlanningDriver(), Tracker()
-    driver.reset(lanes_of(settings.scenario, settings.seed))
+    wheel, tracker = CheckedDriver(driver or PlanningDriver(), loop.perception_limit_s), Tracker()
+    wheel.reset(lanes_of(settings.scenario, settings.seed))
     own = EgoFaults(getattr(perception, "faults", ()), settings.seed, settings.ego_id, settings.scenario.step_s)
     clock = PerceptionClock(perception, loop, settings.scenario.step_s, own)
     clock.begin(settings.scenario, settings.ego_id, settings.seed)
@@ -36,7 +37,7 @@ def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | 
     for tick in log.ticks:
         if settings.ego_id not in tick.actors.boxes.object_id:
             break
-        percept = shown(driver, clock.percept(before, tick.actors, tick.claims, tick.ego))
+        percept = wheel.shown(clock.percept(before, tick.actors, tick.claims, tick.ego))
         if clock.failure:
             outcome, message = Outcome.PERCEPTION_FAILED, clock.failure
             break
@@ -46,7 +47,10 @@ def replay(log: EpisodeLog, perception: Perception, name: str, driver: Driver | 
             others = without_ego(percept, own.believed(measured, measured.time_s - times[0]))
         tracks = tracker.update(others, tick.actors.time_s)
         known = own.believed(tick.ego, tick.ego.time_s - times[0])
-        decision = driver.decide(known, tracks) if tick.contact is None else Decision(0.0)
+        decision = wheel.decide(known, tracks) if tick.contact is None else Decision(0.0)
+        if wheel.failure and tick.contact is None:
+            outcome, message = Outcome.DRIVER_FAILED, wheel.failure
+            break
         ticks.append(Tick(tick.actors, tick.ego, percept, tracks, decision, tick.claims, tick.contact))
         before = tick.actors
     return EpisodeLog(msgspec.structs.replace(settings, perception=name), log.actors[0], ticks, outcome, message)

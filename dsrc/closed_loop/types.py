@@ -135,6 +135,7 @@ class Outcome(StrEnum):
         TIMEOUT: the time was over before anything else happened.
         LEFT: left the road.
         PERCEPTION_FAILED: the perception raised an error, returned invalid boxes, or took too long.
+        DRIVER_FAILED: the driver raised an error, decided nothing that can be done, or took too long.
         DESYNCHRONISED: never met its encounter; neither a success nor a failure.
     """
 
@@ -144,7 +145,12 @@ class Outcome(StrEnum):
     TIMEOUT = "timeout"
     LEFT = "left"
     PERCEPTION_FAILED = "perception failed"
+    DRIVER_FAILED = "driver failed"
     DESYNCHRONISED = "desynchronised"
+
+
+FAILED = (Outcome.PERCEPTION_FAILED, Outcome.DRIVER_FAILED)
+"""Outcomes of episodes that say nothing of how the ego drives."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,8 +1,8 @@
-"""Messages between this package and a detector in a process of its own.
+"""Messages between this package and a detector in a process of its own; drivers' are framed in the same way.
 
 A message is `DSRC`, the length of a header in bytes as a little-endian uint32, the header (JSON, UTF-8), and the bytes
 of the arrays that the header lists as [name, kind, shape], one after the other, in C order, little-endian; kinds are
-`f4`, `f8` and `i8`. Each question gets one answer:
+`f4`, `f8`, `i8` and `u1`. Each question gets one answer:
 
 | question | answer |
 |---|---|
@@ -22,7 +22,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -42,12 +42,18 @@ _PREFIX = struct.Struct("<4sI")
 _Coordinate = Annotated[float, Meta(ge=-1e4, le=1e4)]
 _Length = Annotated[int, Meta(ge=0, le=1 << 40)]
 _Shape = Annotated[tuple[_Length, ...], Meta(max_length=4)]
-_Array = tuple[Annotated[str, Meta(max_length=100)], Literal["f4", "f8", "i8"], _Shape]
+_Array = tuple[Annotated[str, Meta(max_length=100)], Literal["f4", "f8", "i8", "u1"], _Shape]
 T = TypeVar("T", bound="Header")
 
 
 class Header(msgspec.Struct, frozen=True):
-    """What every header has."""
+    """What every header has.
+
+    Attributes:
+        SAID: `type` of headers of a kind.
+    """
+
+    SAID: ClassVar[str] = ""
 
     type: str
     arrays: Annotated[tuple[_Array, ...], Meta(max_length=1000)] = ()
@@ -65,6 +71,8 @@ class Hello(Header, frozen=True, kw_only=True):
         users: road users that it detects.
     """
 
+    SAID: ClassVar[str] = "hello"
+
     protocol: Literal[1]
     name: Annotated[str, Meta(min_length=1, max_length=200)]
     range_m: tuple[_Coordinate, _Coordinate, _Coordinate, _Coordinate, _Coordinate, _Coordinate]
@@ -80,11 +88,15 @@ class Found(Header, frozen=True, kw_only=True):
         classes: of the boxes; empty for those of the road users that are detected.
     """
 
+    SAID: ClassVar[str] = "boxes"
+
     classes: Annotated[tuple[str, ...], Meta(max_length=10_000)] = ()
 
 
 class Failure(Header, frozen=True, kw_only=True):
-    """Header of a detector's error."""
+    """Header of an error of the other end."""
+
+    SAID: ClassVar[str] = "error"
 
     message: Annotated[str, Meta(max_length=10_000)] = ""
 
@@ -106,7 +118,7 @@ class Message:
 
 
 def encode(header: Mapping[str, object], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the bytes of a message; arrays are of float32, float64 or int64."""
+    """Return the bytes of a message; arrays are of float32, float64, int64 or uint8."""
     held = {name: np.ascontiguousarray(array, array.dtype.newbyteorder("<")) for name, array in arrays.items()}
     listed = [(name, array.dtype.str[1:], array.shape) for name, array in held.items()]
     content = msgspec.json.encode({**header, "arrays": listed})

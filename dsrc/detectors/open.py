@@ -11,9 +11,10 @@ import msgspec
 from dsrc.data.sample import SampleDetector
 from dsrc.detectors.classes import OwnDetector, class_hash, load_own
 from dsrc.detectors.levelled import RECORDED, LevelledDetector, check_height, levelled
+from dsrc.detectors.line import process_sha256
 from dsrc.detectors.onnx_file import open_onnx, runtime_version
 from dsrc.detectors.process import ProcessDetector
-from dsrc.detectors.texts import command_of, kind_of
+from dsrc.detectors.texts import kind_of
 from dsrc.models.detector import Detector
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.checkpoint import load_student
@@ -92,11 +93,9 @@ def detector_sha256(text: str | Path, detector: SampleDetector | None = None) ->
         return own if kind == "file" else _hash_of([own, _external_data(Path(text)), runtime_version()])
     inner = process_of(detector)
     opened = inner or ProcessDetector(text)
-    words = command_of(text) if kind == "pipe" else []
-    files = {word: file_sha256(Path(word)) for word in words if Path(word).is_file()}
     if opened is not inner:
         opened.close()
-    return _hash_of([text, opened.name, files])
+    return process_sha256(text, opened.name)
 
 
 def close_detector(detector: SampleDetector) -> None:

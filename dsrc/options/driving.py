@@ -1,6 +1,6 @@
 """Options of `dsrc drive`: episodes and campaigns of the closed loop."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 from tyro.conf import Positional, arg
@@ -8,7 +8,7 @@ from tyro.conf import Positional, arg
 from dsrc.options.detection import AutoEngine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, changed_radios, choice
 
-DriverName = Literal["planning", "anticipating", "careful"]
+DRIVERS = ("planning", "anticipating", "careful", "MODULE:CLASS", "PROCESS")
 NO_DEFENCE = "none"
 DEFENCES = ("agreement", "free-space", "motion", "trust")
 """Defences by name, in the order in which they act."""
@@ -42,8 +42,8 @@ class DriveOptions(msgspec.Struct, frozen=True):
         seed: seeds of the episodes, one each; default: 0.
         engine: execution of the network, see dsrc evaluate; auto is bf16 where the processor computes it and the
             detector is as good in it, else fused.
-        driver: driver: plans by predicted tracks, also anticipates road users that it cannot see, or the careful driver
-            of UN R157; default: planning.
+        driver: driver: plans by predicted tracks, also anticipates road users that it cannot see, the careful driver of
+            UN R157, a class of one's own, or a process, pipe:COMMAND or tcp://localhost:PORT; default: planning.
         duration_s: longest episode, s; default: 20, for anticipating 30.
         detect_every_s: interval of detections, s; default: 0.1.
         latency_s: time from a measurement to its detections, s; default: 0.
@@ -66,7 +66,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     defence: Annotated[tuple[str, ...], choice((NO_DEFENCE, *DEFENCES), several=True)] = ()
     seed: tuple[int, ...] = ()
     engine: AutoEngine = "auto"
-    driver: DriverName | None = None
+    driver: Annotated[str | None, choice(DRIVERS)] = None
     duration_s: float | None = None
     detect_every_s: float | None = None
     latency_s: float | None = None

@@ -12,9 +12,8 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from dsrc.closed_loop.driving.anticipating import AnticipatingDriver
-from dsrc.closed_loop.driving.careful import CarefulDriver
-from dsrc.closed_loop.driving.planner import PlanningDriver
+from dsrc.closed_loop.driving.open import open_driver
+from dsrc.closed_loop.driving.process import ProcessDriver
 from dsrc.closed_loop.encounter import conflict_class
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
@@ -24,6 +23,7 @@ from dsrc.closed_loop.metrics.lies import lie_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Driver, Perception
 from dsrc.data.jsonio import read_json
+from dsrc.detectors.texts import kind_of
 from dsrc.faults.fault import Faults, faults_text
 from dsrc.runs.unit import Progress, Unit, key_of
 from sensors.corruptions import CLEAN, EVERYONE, Condition
@@ -31,13 +31,6 @@ from sim.boxes import CLASSES
 from sim.errors import DataError, complaint
 from sim.files import write_file
 from sim.scenario import Scenario
-
-DRIVERS: dict[str, Callable[[], Driver]] = {
-    "planning": PlanningDriver,
-    "anticipating": AnticipatingDriver,
-    "careful": CarefulDriver,
-}
-"""Drivers by name."""
 
 
 class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
@@ -56,13 +49,14 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
         radio: settings of the channel.
         seed: of the episode.
         engine: execution of the network.
-        driver: key of `DRIVERS`.
+        driver: text of `dsrc.closed_loop.driving.open.open_driver`.
         loop: intervals and limits of time.
         versions: of other packages that the code imports.
         code: hash of the code.
         faults: of the episode, beside condition and radio, which are there all the time.
         defence: against attacks.
         lies: whether what helpers told is measured too, as in a campaign with attacks or defences.
+        driver_sha256: of a driver of one's own, see `dsrc.closed_loop.driving.open.driver_sha256`; "" of a shipped one.
     """
 
     scenario: str
@@ -84,6 +78,7 @@ class EpisodeJob(msgspec.Struct, frozen=True, kw_only=True):
     faults: Faults = ()
     defence: Defence = ()
     lies: bool = False
+    driver_sha256: str = ""
 
 
 def decisive(job: EpisodeJob) -> dict[str, Any]:
@@ -92,7 +87,7 @@ def decisive(job: EpisodeJob) -> dict[str, Any]:
     found = msgspec.to_builtins(replace(job, faults=())) | {"who": condition.pop("who", EVERYONE)}
     found |= {"condition": condition, "faults": [one.decisive() for one in job.faults]}
     left_out = ["scenario", "perception", "checkpoint", "channel", "lies"]
-    left_out += [name for name in ("faults", "defence") if not getattr(job, name)]
+    left_out += [name for name in ("faults", "defence", "driver_sha256") if not getattr(job, name)]
     return {name: found[name] for name in found if name not in left_out}
 
 
@@ -116,7 +111,7 @@ class EpisodeResult(msgspec.Struct, frozen=True, kw_only=True):
         road_user: class of the conflict actor, "" without one.
         detectable: the perception has this class, or there is none to have.
         outcome: see `dsrc.closed_loop.types.Outcome`.
-        message: explanation of a failed perception.
+        message: explanation of a failed perception or driver.
         key: name of its cell.
         metrics: see `dsrc.closed_loop.metrics.episode.EpisodeMetrics`, and `dsrc.closed_loop.metrics.lies.LieMetrics`
             in a campaign with attacks or defences; None where undefined.
@@ -200,16 +195,17 @@ def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = 
         watch: called with the loop after every step.
 
     Raises:
-        UserError: scenario or perception cannot be opened.
+        UserError: scenario, perception or driver cannot be opened.
     """
     scenario = msgspec.convert(job.content, Scenario)
-    loop = ClosedLoop(scenario, _perception(job), DRIVERS[job.driver](), job.loop)
+    loop = ClosedLoop(scenario, _perception(job), _driver(job), job.loop)
     loop.run(job.seed, watch)
     condition = job.condition
     return loop.log(
         perception=job.uses,
         detector=job.detector,
         driver=job.driver,
+        driver_sha256=job.driver_sha256,
         corruption=condition.kind,
         severity=condition.severity,
         family=condition.family,
@@ -224,7 +220,7 @@ def drive_episode(job: EpisodeJob, watch: Callable[[ClosedLoop], None] | None = 
 
 def probe_s(job: EpisodeJob, steps: int = 4) -> float:
     """Return the time of a step of an episode on this machine, s; the first step, which compiles, does not count."""
-    loop = ClosedLoop(msgspec.convert(job.content, Scenario), _perception(job), DRIVERS[job.driver](), job.loop)
+    loop = ClosedLoop(msgspec.convert(job.content, Scenario), _perception(job), _driver(job), job.loop)
     try:
         loop.start(job.seed)
         if loop.outcome is None:  # a perception may fail at once
@@ -261,6 +257,19 @@ def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
         fault=faults_text(job.faults),
         defence=",".join(job.defence),
     )
+
+
+def _driver(job: EpisodeJob) -> Driver:
+    """Return the driver of an episode: a new one, but for a process, which is told where an episode begins."""
+    limit_s = job.loop.perception_limit_s
+    if kind_of(job.driver) in ("pipe", "tcp"):
+        return _process(job.driver, job.driver_sha256, limit_s)
+    return open_driver(job.driver, limit_s)
+
+
+@lru_cache(maxsize=2)
+def _process(text: str, _sha256: str, limit_s: float) -> ProcessDriver:
+    return ProcessDriver(text, limit_s)
 
 
 def _perception(job: EpisodeJob) -> Perception:

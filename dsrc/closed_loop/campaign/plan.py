@@ -26,7 +26,7 @@ from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
@@ -34,6 +34,7 @@ from msgspec.structs import replace
 
 from dsrc.closed_loop.campaign.disturbance import Disturbance, settled
 from dsrc.closed_loop.campaign.episode import EpisodeJob
+from dsrc.closed_loop.driving.open import driver_sha256, open_driver
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.messages.defences import Defence, parse_defence
 from dsrc.closed_loop.perception.error_model.model import read_model
@@ -51,7 +52,7 @@ from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
 from dsrc.faults.fault import Faults, faults_text, parse_faults
 from dsrc.options.detection import AutoEngine
-from dsrc.options.driving import NO_DEFENCE, DriveOptions, DriverName
+from dsrc.options.driving import NO_DEFENCE, DriveOptions
 from dsrc.options.fields import RENAMED, changed_radios
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.catalog.load import load_scenario
@@ -88,13 +89,13 @@ class PerceptionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
             without helpers), `team` (detector with helpers), `late` (their detections joined), `model` (errors of a
             detector, from the JSON of `dsrc model fit`), or `module:Class` of one's own; "": the name.
         checkpoint: detector file, or the JSON of `model`; "": the shipped detector.
-        driver: of these episodes; "": that of the campaign.
+        driver: of these episodes, as that of the campaign; "": that one.
     """
 
     name: str
     uses: str = ""
     checkpoint: str = ""
-    driver: DriverName | Literal[""] = ""
+    driver: str = ""
 
     @property
     def kind(self) -> str:
@@ -124,7 +125,8 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         seeds: those of each scenario, perception, corruption, severity or fault, and channel; the same for all.
         engine: execution of the networks, see `dsrc.models.storage.deploy.ENGINES`; `auto` becomes the fastest that
             serves all detectors of the campaign, see `with_engine`.
-        driver: `planning`, `anticipating` what it cannot see, or `careful` for the reference driver of UN R157.
+        driver: `planning`, `anticipating` what it cannot see, `careful` for the reference driver of UN R157, or one's
+            own, `module:Class` or `tcp://localhost:PORT`, see `dsrc.closed_loop.driving.open`.
         loop: intervals and limits of time.
         controls: drive the controls of encounters with the truth first, and refuse to continue where one fails.
         careful: drive the reference driver of UN R157 with the truth too: crashes that it avoids are avoidable.
@@ -146,10 +148,15 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     clean_seeds: Seeds = 20
     seeds: Seeds = 10
     engine: AutoEngine = "auto"
-    driver: DriverName = "planning"
+    driver: str = "planning"
     loop: LoopSettings = LoopSettings()
     controls: bool = True
     careful: bool = True
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """Drivers of the perceptions, each once."""
+        return tuple(dict.fromkeys(one.driver or self.driver for one in self.perceptions))
 
     @property
     def conditions(self) -> list[Condition]:
@@ -202,6 +209,9 @@ def read_campaign(path: Path) -> Campaign:
             field = f"perceptions.{one.name}.checkpoint"
             raise SettingsError(f"{path}: '{one.kind}' names a detector file already; leave out {field}")
         perceptions.append(replace(one, uses=kind, checkpoint=found(file or one.checkpoint)))
+    for driver in plan.drivers:
+        if kind_of(driver) == "pipe":
+            raise SettingsError(complaint(path, "driver", NO_COMMAND, driver))
     files = [name.partition(".toml") for name in plan.scenarios]
     scenarios = tuple(
         found(name + ending) + variant if ending or (path.parent / name / "scenario.toml").is_file() else name
@@ -222,8 +232,7 @@ def read_campaign(path: Path) -> Campaign:
 
 def _patient(plan: Campaign, loop: Mapping[str, Any]) -> Campaign:
     """Return a campaign whose episodes leave room for a slow driver, unless its settings of the loop say how long."""
-    drivers = {one.driver or plan.driver for one in plan.perceptions}
-    if "duration_s" in loop or not drivers & set(_PATIENT):
+    if "duration_s" in loop or not set(plan.drivers) & set(_PATIENT):
         return plan
     return replace(plan, loop=replace(plan.loop, duration_s=_PATIENT_S))
 
@@ -362,6 +371,12 @@ def check(plan: Campaign, where: str) -> None:
             get_channel(channel)
         except SettingsError as error:
             raise SettingsError(f"{where}: {error}") from None
+    for driver in plan.drivers:
+        if kind_of(driver) not in ("pipe", "tcp"):  # whose names are asked for later
+            try:
+                open_driver(driver)
+            except SettingsError as error:
+                raise SettingsError(f"{where}: {error}") from None
     for one in plan.perceptions:
         if one.kind in WITHOUT_SENSOR and one.checkpoint:
             expected = f"none with '{one.kind}' (no detector)"
@@ -425,6 +440,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
     code, versions = code_hash(COMPUTED_BY), package_versions(COMPUTED_BY)
     hashes = {one.name: detector_hash(one.kind, one.checkpoint) for one in plan.perceptions}
     helped = {one.name: _has_helpers(one) for one in plan.perceptions}
+    drivers = {text: driver_sha256(text) for text in plan.drivers}
     found = []
     for scenario in plan.scenarios:
         loaded = load_scenario(scenario)
@@ -455,6 +471,7 @@ def episodes_of(plan: Campaign) -> list[EpisodeJob]:
                             faults=faults,
                             defence=defence,
                             lies=lies,
+                            driver_sha256=drivers[one.driver or plan.driver],
                         )
                     )
     return found

@@ -19,7 +19,6 @@ from typing import Any, Self
 import msgspec
 
 from dsrc.closed_loop.campaign.episode import (
-    DRIVERS,
     EpisodeJob,
     EpisodeResult,
     decisive,
@@ -38,6 +37,7 @@ from dsrc.closed_loop.campaign.plan import (
     episodes_of,
     with_engine,
 )
+from dsrc.closed_loop.driving.open import driver_sha256, is_own, open_driver
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.messages.defences import NO_DEFENCE, parse_defence
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
@@ -357,6 +357,10 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         raise SettingsError(
             f"drive: {path} names code of its own, which runs only when asked for; add --perception {uses}"
         )
+    if options.driver is None and is_own(settings.driver):
+        raise SettingsError(
+            f"drive: {path} names a driver of its own, which runs only when asked for; add --driver {settings.driver}"
+        )
     if not options.perception and settings.detector:
         checkpoint = str(options.checkpoint or "")
         if detector_hash(uses, checkpoint) != settings.detector:
@@ -397,7 +401,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
     )
     used["engine"] = getattr(perception, "engine", settings.engine)
     driver = options.driver or settings.driver
-    again = replay(former, perception, uses, DRIVERS[driver]())
+    again = replay(former, perception, uses, open_driver(driver))
     if options.perception or options.checkpoint:
         asked_for = parse_perception(uses)
         used["detector"] = detector_hash(asked_for.kind, asked_for.file or str(options.checkpoint or ""))
@@ -410,6 +414,7 @@ def replay_at(path: Path, options: DriveOptions) -> tuple[EpisodeLog, EpisodeLog
         family=condition.family,
         who=condition.agents_text,
         driver=driver,
+        driver_sha256=driver_sha256(driver),
         fault=faults_text(faults),
         defence=",".join(defence),
         **used,

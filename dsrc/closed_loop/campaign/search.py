@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from dsrc.closed_loop.campaign.critical import CriticalValue, critical_value
-from dsrc.closed_loop.campaign.episode import DRIVERS
 from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec, with_engine
+from dsrc.closed_loop.driving.open import open_driver
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR, open_perception
 from dsrc.closed_loop.types import Outcome, Perception
@@ -64,9 +64,10 @@ def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], No
     kind = _corruption(plan, quantity)
     one, seed = _single(plan, kind, quantity)
     outcomes: dict[float, Outcome] = {}
+    driver = open_driver(one.driver or plan.driver, plan.loop.perception_limit_s)
 
     def fine(value: float) -> bool:
-        perception, driver = _perception(plan, one, kind, quantity, value), DRIVERS[one.driver or plan.driver]()
+        perception = _perception(plan, one, kind, quantity, value)
         loop = ClosedLoop(plan.scenarios[0], perception, driver, plan.loop)
         outcomes[value] = loop.run(seed)
         if progress is not None:

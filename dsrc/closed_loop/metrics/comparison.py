@@ -6,9 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dsrc.closed_loop.types import Outcome
-
-_FAILED = Outcome.PERCEPTION_FAILED.value
+from dsrc.closed_loop.types import FAILED, Outcome
 
 
 class Result(Protocol):
@@ -93,13 +91,13 @@ def arrived(result: Result) -> float:
 def counted(results: Sequence[Result], failed: bool = False) -> list[Result]:
     """Return the results whose crash, or lack of one, counts.
 
-    An episode that lost its encounter is neither a success nor a failure; one whose perception failed ended before its
-    driving could be judged, so that it must not count as one without a crash.
+    An episode that lost its encounter is neither a success nor a failure; one whose perception or driver failed ended
+    before its driving could be judged, so that it must not count as one without a crash.
 
     Args:
-        failed: keep episodes whose perception failed, for arrivals: they are none.
+        failed: keep episodes whose perception or driver failed, for arrivals: they are none.
     """
-    dropped = {Outcome.DESYNCHRONISED.value} if failed else {Outcome.DESYNCHRONISED.value, _FAILED}
+    dropped = {Outcome.DESYNCHRONISED} if failed else {Outcome.DESYNCHRONISED, *FAILED}
     return [one for one in results if one.outcome not in dropped and not math.isnan(collided(one))]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.metrics.comparison import collided, counted, metric
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, rate
-from dsrc.closed_loop.types import Outcome
+from dsrc.closed_loop.types import FAILED, Outcome
 from dsrc.tables.table import Column
 from sim.radio import IDEAL
 
@@ -37,7 +37,8 @@ def condition_cells(group: Sequence[EpisodeResult]) -> tuple[str, ...]:
         str(len(group)),
         share(rate([collided(one) for one in met])),
         str(sum(bool(collided(one)) and metric(one, "at_fault") == 1.0 for one in met)),
-        *(str(ends[end.value]) for end in (Outcome.STUCK, Outcome.DESYNCHRONISED, Outcome.PERCEPTION_FAILED)),
+        *(str(ends[end.value]) for end in (Outcome.STUCK, Outcome.DESYNCHRONISED)),
+        str(sum(ends[end.value] for end in FAILED)),
         score(mean([metric(one, "driving_score_2_1") for one in met])),
         percent(mean([metric(one, "completion") for one in met]).value),
     )

@@ -13,7 +13,7 @@ from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.closed_loop.metrics.statistics import UNKNOWN, Estimate, mean, rate
 from dsrc.closed_loop.report.baseline import Change
 from dsrc.closed_loop.report.scores import success
-from dsrc.closed_loop.types import Outcome
+from dsrc.closed_loop.types import FAILED, Outcome
 from dsrc.tables.table import Table
 from sim.errors import SettingsError, complaint, did_you_mean
 
@@ -28,8 +28,8 @@ _FORM = re.compile(
 )
 
 
-def _ends(outcome: Outcome) -> Value:
-    return lambda one: float(one.outcome == outcome.value)
+def _ends(*outcomes: Outcome) -> Value:
+    return lambda one: float(one.outcome in outcomes)
 
 
 _COUNTED: dict[str, Value] = {
@@ -39,8 +39,8 @@ _COUNTED: dict[str, Value] = {
     "timeout": _ends(Outcome.TIMEOUT),
     "left": _ends(Outcome.LEFT),
 }
-"""Shares of the episodes that met their encounter and whose perception worked."""
-_OF_ALL: dict[str, Value] = {"lost": _ends(Outcome.DESYNCHRONISED), "failed": _ends(Outcome.PERCEPTION_FAILED)}
+"""Shares of the episodes that met their encounter and whose perception and driver worked."""
+_OF_ALL: dict[str, Value] = {"lost": _ends(Outcome.DESYNCHRONISED), "failed": _ends(*FAILED)}
 """Shares of all episodes."""
 _CHANGES = ("fixed", "broken")
 """Numbers of episodes that changed against a baseline."""

@@ -9,7 +9,7 @@ from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.report.baseline import Change, change_table, changed_table, changes
 from dsrc.closed_loop.report.cells import groups
 from dsrc.closed_loop.report.conditions import Condition, Verdict, judged, verdict_table
-from dsrc.closed_loop.types import Outcome
+from dsrc.closed_loop.types import FAILED, Outcome
 from dsrc.tables.junit import Case, Suite, junit_xml
 from dsrc.tables.table import Table
 
@@ -101,6 +101,6 @@ def _episode_case(one: EpisodeResult, words: str) -> Case:
     case = Case(f"dsrc.drive.{one.scenario.replace('.', '_')}", f"seed {one.seed}", output=text, time_s=driven_s)
     if one.outcome == Outcome.DESYNCHRONISED.value:
         return replace(case, result="skipped", message="never met its encounter")
-    if one.outcome == Outcome.PERCEPTION_FAILED.value:
+    if one.outcome in FAILED:
         return replace(case, result="error", message=text)
     return case if one.outcome in _PASSES else replace(case, result="failure", message=text)

@@ -11,12 +11,12 @@ from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.comparison import metric
 from dsrc.closed_loop.report.baseline import episode_name
 from dsrc.closed_loop.report.findings import Findings
-from dsrc.closed_loop.types import Outcome
+from dsrc.closed_loop.types import FAILED, Outcome
 from dsrc.tables.table import Table
 
 _MOST = 24
 """Most pictures of a page: the episodes that broke against the baseline first, then the hardest crashes."""
-_FAILED = tuple(one.value for one in (Outcome.CRASHED, Outcome.LEFT, Outcome.STUCK, Outcome.PERCEPTION_FAILED))
+_FAILED = tuple(one.value for one in (Outcome.CRASHED, Outcome.LEFT, Outcome.STUCK, *FAILED))
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;color:#22272e;max-width:1100px;margin:2em auto;padding:0 1em}
 table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .7em;border-bottom:1px solid #e3e6ea;text-align:left}

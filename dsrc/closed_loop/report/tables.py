@@ -37,7 +37,7 @@ from dsrc.closed_loop.report.findings import NOTHING, Findings, counted_causes
 from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.report.lies import LIE_HEADS, lie_rows
 from dsrc.closed_loop.report.scores import HAZARD_HEADS, SCORE_HEADS, hazard_rows, score_rows
-from dsrc.closed_loop.types import Outcome
+from dsrc.closed_loop.types import FAILED, Outcome
 from dsrc.tables.table import Column, Strong, Table, TableRow
 from sensors.corruptions import CLEAN
 
@@ -131,10 +131,12 @@ def parts_of(result: CampaignResult) -> tuple[list[EpisodeResult], list[EpisodeR
 
 
 def _all_scenarios(result: CampaignResult, common: Sequence[EpisodeResult]) -> Table:
+    driven = all(one.outcome != Outcome.DRIVER_FAILED for one in result.results)
     text = (
         "Crashed: share of the episodes that met their encounter, with its Wilson interval of 95 %. At fault: crashes "
         "in which the ego neither stood nor was hit from behind. Lost: episodes that never met their encounter, not "
-        "counted. Failed: episodes whose perception failed, not counted either. Score: CARLA's driving score 2.1, with "
+        "counted. Failed: episodes whose perception "
+        f"{'' if driven else 'or driver '}failed, not counted either. Score: CARLA's driving score 2.1, with "
         "a bootstrap interval. Progress: share of the reference distance."
     )
     if result.careful:
@@ -233,10 +235,10 @@ def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> Table:
 
 
 def _crashes(group: Sequence[EpisodeResult]) -> str:
-    """Return the collision rate of some episodes, and how many were stuck, lost or had a perception that failed."""
+    """Return the collision rate of some episodes, and how many were stuck, lost or failed."""
     met = counted(group)
-    kinds = {"stuck": Outcome.STUCK, "lost": Outcome.DESYNCHRONISED, "failed": Outcome.PERCEPTION_FAILED}
-    counts = {what: sum(one.outcome == end.value for one in group) for what, end in kinds.items()}
+    kinds = {"stuck": (Outcome.STUCK,), "lost": (Outcome.DESYNCHRONISED,), "failed": FAILED}
+    counts = {what: sum(one.outcome in ends for one in group) for what, ends in kinds.items()}
     rates = share(rate([collided(one) for one in met]))
     text = ", ".join([rates, *(f"{count} {what}" for what, count in counts.items() if count)])
     return text if all(one.detectable for one in group) else f"{text} *"
@@ -461,7 +463,7 @@ def _late(one: EpisodeResult) -> str:
 
 def _worst(result: CampaignResult) -> Table:
     crashed = [one for one in result.results if one.outcome == Outcome.CRASHED.value and one.detectable]
-    failed = [one for one in result.results if one.outcome == Outcome.PERCEPTION_FAILED.value]
+    failed = [one for one in result.results if one.outcome in FAILED]
     columns = [Column("seed"), Column("perception", align="left"), Column("condition", align="left")]
     columns += [Column("closing m/s", digits=1), Column("delta-v m/s", digits=1), Column("log", align="left")]
     rows = tuple(
@@ -474,7 +476,7 @@ def _worst(result: CampaignResult) -> Table:
         )
         for one in sorted(crashed, key=lambda one: -metric(one, "delta_v_mps"))[:_WORST]
     )
-    note = f"Perceptions failed in {len(failed)} episodes, first: {failed[0].message}" if failed else ""
+    note = f"{len(failed)} episodes failed, first: {failed[0].outcome}: {failed[0].message}" if failed else ""
     return Table("hardest", NAMES["hardest"], "scenario", tuple(columns), rows, note)
 
 

@@ -6,7 +6,7 @@ from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.open import parse_perception
 from dsrc.closed_loop.report.cells import COLUMNS, condition_cells, groups
-from dsrc.closed_loop.types import Outcome
+from dsrc.closed_loop.types import FAILED
 from dsrc.tables.table import Cell, Column, Table, TableRow
 from sensors.corruptions import CLEAN
 from sim.radio import IDEAL
@@ -15,15 +15,16 @@ from sim.radio import IDEAL
 def summary_table(result: CampaignResult) -> Table:
     """Table of a campaign for a terminal: a row per perception and condition, by scenario.
 
-    A star marks perceptions that have no class for a conflict actor. Perceptions that failed are below the table.
+    A star marks perceptions that have no class for a conflict actor. What failed is below the table.
     """
     blind = not all(one.detectable for one in result.results)
     notes = ["*: no class for the road user"] if blind else []
     for name in dict.fromkeys(one.perception for one in result.results):
         driven = [one for one in result.results if one.perception == name]
-        failed = [one.message for one in driven if one.outcome == Outcome.PERCEPTION_FAILED.value]
-        if failed:
-            notes.append(f"{name}: perception failed in {len(failed)} of {len(driven)} episodes: {failed[0]}")
+        for end in FAILED:
+            failed = [one.message for one in driven if one.outcome == end]
+            if failed:
+                notes.append(f"{name}: {end} in {len(failed)} of {len(driven)} episodes: {failed[0]}")
     columns = [Column("perception", align="left"), Column("condition", align="left")]
     columns += [replace(column, terminal=column.title != "failed") for column in COLUMNS]
     rows = []
@@ -52,7 +53,6 @@ def _eyes(log: EpisodeLog, with_driver: bool) -> str:
 def comparison_table(former: EpisodeLog, again: EpisodeLog) -> Table:
     """Table of two looks at the same traffic, a row per second."""
     names = tuple(_eyes(log, former.settings.driver != again.settings.driver) for log in (former, again))
-    failed = again.outcome is Outcome.PERCEPTION_FAILED
     heads = [f"{what}, {name}" for name in names for what in ("tracks", "m/s²", "because")]
     every = max(1, round(1.0 / former.settings.scenario.step_s))
     start = former.ticks[0].actors.time_s
@@ -64,5 +64,5 @@ def comparison_table(former: EpisodeLog, again: EpisodeLog) -> Table:
             cells += [len(tick.tracks), f"{tick.decision.acceleration_mps2:+.1f}", tick.decision.reason]
         rows.append(TableRow(f"{both[0].actors.time_s - start:.1f}", tuple(cells)))
     title = f"{former.settings.scenario.name}, seed {former.settings.seed}: the same traffic to two eyes"
-    caption = f"{names[1]}: perception failed: {again.message}" if failed else ""
+    caption = f"{names[1]}: {again.outcome}: {again.message}" if again.outcome in FAILED else ""
     return Table("comparison", title, "time s", tuple(map(Column, heads)), tuple(rows), caption=caption)

@@ -187,15 +187,17 @@ def test_an_ego_that_stands_before_its_encounter_has_not_met_it() -> None:
     assert drive("ima_building", Blind(), BrakeAt(1.0)).outcome is Outcome.DESYNCHRONISED
 
 
-def test_a_driver_without_a_number_is_an_error_and_no_braking() -> None:
+def test_a_driver_without_a_number_has_failed_and_brakes_nothing() -> None:
     class Broken(BrakeAt):
         """Divides by nothing after a second."""
 
         def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
             return Decision(math.nan if ego.time_s > 1.0 else 0.0)
 
-    with pytest.raises(ValueError, match="driver: expected a finite acceleration, found nan"):
-        drive("ima_building:no_conflict", Blind(), Broken(0.0))
+    loop = drive("ima_building:no_conflict", Blind(), Broken(0.0))
+    assert loop.outcome is Outcome.DRIVER_FAILED
+    assert loop.message == "ValueError: decide: expected a finite acceleration, found nan"
+    assert loop.tick.ego.time_s == pytest.approx(1.1, abs=0.11) and loop.tick.ego.acceleration_mps2 > -0.1
 
 
 def test_an_ego_that_was_late_for_its_encounter_says_so() -> None:

@@ -1,10 +1,10 @@
-"""Perceptions that see nothing, and a campaign of two short episodes with one."""
+"""Perceptions that see nothing, a driver that faints, and a campaign of two short episodes with one."""
 
 import numpy as np
 
 from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
 from dsrc.closed_loop.loop import LoopSettings
-from dsrc.closed_loop.types import Percept
+from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Percept, Tracks
 from sim.boxes import VEHICLES, Boxes
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
@@ -49,3 +49,15 @@ class Broken(Blind):
         if now.time_s > 1.0:
             raise MemoryError("no memory left")
         return super().perceive(before, now, claims)
+
+
+class Fainting:
+    """Driver that fails after a second."""
+
+    def reset(self, lanes: LaneMap | None) -> None:
+        pass
+
+    def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
+        if ego.time_s > 1.0:
+            raise ZeroDivisionError("nobody\nis there")
+        return Decision(0.0)

@@ -21,6 +21,7 @@ from rich.console import Console
 from dsrc.cli.drive import Drive
 from dsrc.closed_loop.campaign import plan as planning
 from dsrc.closed_loop.campaign import run as runner
+from dsrc.closed_loop.campaign.episode import decisive, episode_key
 from dsrc.closed_loop.campaign.plan import (
     PerceptionSpec,
 )
@@ -192,6 +193,36 @@ def test_a_perception_that_fails_is_a_row(tmp_path: Path) -> None:
     broken = replace(PLAN, clean_seeds=1, perceptions=(PerceptionSpec(name="broken", uses=f"{EYES}:Broken"),))
     (row,) = run_campaign(broken, tmp_path).results
     assert (row.outcome, row.message) == ("perception failed", "MemoryError: no memory left")
+
+
+def test_a_driver_of_one_s_own_that_fails_is_a_row_and_the_campaign_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings: dict[str, Any] = {"what": "ima_building", "duration_s": 15.0, "seed": (0,), "out": tmp_path}
+    with pytest.raises(SystemExit, match="1"):
+        Drive(**settings, driver=f"{EYES}:Fainting", fail_under=("failed<=0%",)).run()
+    (row,) = rows(tmp_path)
+    assert (row["outcome"], row["message"]) == ("driver failed", "ZeroDivisionError: nobody is there")
+    assert "truth: driver failed in 1 of 1 episodes: ZeroDivisionError" in capsys.readouterr().out
+    job = planning.episodes_of(replace(PLAN, driver=f"{EYES}:Fainting"))[0]
+    assert job.driver_sha256 and "driver_sha256" in decisive(job)
+    assert "driver_sha256" not in decisive(planning.episodes_of(PLAN)[0])
+    assert episode_key(job) != episode_key(replace(job, driver_sha256="another source"))
+    log = tmp_path / f"episodes/{row['key']}.npz"
+    assert EpisodeLog.load(log).settings.driver_sha256 == job.driver_sha256
+    with pytest.raises(SettingsError, match="names a driver of its own, which runs only when asked for; add --driver"):
+        replay_at(log, DriveOptions(str(log)))
+    again = replay_at(log, DriveOptions(str(log), driver=f"{EYES}:Fainting"))[1]
+    assert again.outcome == "driver failed" and len(again) == len(EpisodeLog.load(log)) - 1
+
+
+def test_a_plan_starts_no_program_for_a_driver_and_knows_those_that_are_unknown(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    for driver, words in (("pipe:python drive.py", "no command"), ("planing", "did you mean 'planning'")):
+        plan.write_text(f"scenarios = ['lta_truck']\ndriver = '{driver}'\n[[perceptions]]\nname = 'truth'\n")
+        with pytest.raises(SettingsError, match=words) as raised:
+            planning.read_campaign(plan)
+        assert str(raised.value).startswith(f"{plan}: driver: ")
 
 
 def test_a_driver_who_fails_a_control_stops_the_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
