@@ -60,10 +60,7 @@ class Answers(socketserver.StreamRequestHandler):
 HELLO = {"name": "highway-env's IDMVehicle", "wants": []}
 
 if __name__ == "__main__":
-    description, _, usage = (__doc__ or "").partition("\n\n")
-    parser = argparse.ArgumentParser(
-        description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--port", type=int)
     parser.add_argument("--test", action="store_true", help="drive beside 12_highway_env_driver.py in dsrc's loop")
     options = parser.parse_args()
