@@ -1,6 +1,6 @@
-"""A driver in a process of its own, over a pipe or a port: the law of `12_highway_env_driver.py`, from outside.
+"""A driver in a process of its own, over a pipe or a port.
 
-Copy `serve` into the environment of a policy; it needs numpy. `dsrc.closed_loop.driving.process` says what is sent.
+Copy `serve` into a policy's environment; it needs numpy. `dsrc.closed_loop.driving.process` says what is sent.
 
 Usage:
     python examples/13_driver_process.py --test
@@ -38,7 +38,7 @@ def serve(driver, read, write, **hello):
 
 
 class Driver:
-    """Driver of one episode; a policy goes here."""
+    """Driver of one episode by the law of `12_highway_env_driver.py`; a policy goes here."""
 
     law = staticmethod(import_module("12_highway_env_driver").acceleration)
 
