@@ -7,8 +7,8 @@ from tyro.conf import arg
 from dsrc.options.detection import AutoEngine, Checkpoint, Height
 from dsrc.options.fields import CORRUPTIONS, Corrupted, Data, File, Folder, choice
 
-ColorBy = Literal["agent", "intensity", "height", "ring", "fate"]
-"""Quantity shown by the colour of a point."""
+ColorBy = Literal["verdict", "agent", "height", "intensity", "ring", "fate"]
+"""What colour means: right and wrong boxes, who saw a point, or a quantity of the points."""
 
 
 class Review(Corrupted, frozen=True, kw_only=True):
@@ -59,7 +59,7 @@ class PageOptions(Review, frozen=True):
         drive: row of the drive in `data`.
         threshold: least score of a drawn detection.
         follow: keep the ego where it starts on the screen.
-        color_by: quantity shown by the colour of a point.
+        color_by: what colour means; `agent` in place of `verdict` where nothing is judged.
     """
 
     data: Data
@@ -69,4 +69,4 @@ class PageOptions(Review, frozen=True):
     drive: int = 0
     threshold: float = 0.3
     follow: bool = True
-    color_by: ColorBy = "agent"
+    color_by: ColorBy = "verdict"

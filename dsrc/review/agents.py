@@ -57,7 +57,7 @@ def agent_view(
         review_from_lidar=review_from_world @ agent.sweep.world_from_lidar,
         review_from_body=review_from_world @ agent.world_from_body,
         points=agent.sweep.points if drawn is None else agent.sweep.points.take(drawn, axis=0),
-        colors=point_colors(agent.sweep, state.color_by, rgb, body_from_lidar[2], drawn),
+        colors=point_colors(agent.sweep, state.color_by, rgb, body_from_lidar[2], drawn, state.theme),
         total=len(agent.sweep),
         lost=agent.sweep.lost,
         fates=tuple(map(int, fates)),

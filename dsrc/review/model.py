@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
 from dsrc.data.sample import SampleDetector
+from dsrc.options.review import ColorBy
 from dsrc.review.agents import agent_view, help_view, links, with_shares
 from dsrc.review.details import detection_details, object_details, verdict_on
 from dsrc.review.errors.judgements import FrameDetections, Judgements
@@ -82,6 +83,7 @@ class ReviewModel(Judgements):
 
     def _view(self, state: ReviewState, method: str) -> FrameView:
         """Frame as drawn under a state with the detections of a set; "" for none."""
+        state = replace(state, color_by=self._meaning(state))
         frame = self._frame(state)
         ego_id = self.ego_id(state)
         review_from_world = np.eye(4)
@@ -102,6 +104,7 @@ class ReviewModel(Judgements):
             linked=links(agents) if state.cooperative else np.zeros((0, 2, 3)),
             layers_off=state.layers_off,
             color_by=state.color_by,
+            theme=state.theme,
             point_size_m=state.point_size_m,
             labelled=self.labelled(state.drive),
             details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),
@@ -115,6 +118,12 @@ class ReviewModel(Judgements):
         view = self._with_detections(view, state, frame, review_from_world, found)
         compared = [self._compared(state, name, frame, review_from_world) for name in self._asked(state)[1:]]
         return replace(view, method=method, compared=tuple(one for one in compared if one is not None))
+
+    def _meaning(self, state: ReviewState) -> ColorBy:
+        """What colour means under a state: that of points or that of boxes, never both."""
+        judged = bool(self.method(state)) and self.labelled(state.drive)
+        helps = state.boxes_by == "shares" and self.has_shares(state.drive)
+        return "agent" if state.color_by == "verdict" and (helps or not judged) else state.color_by
 
     def _with_shares(self, view: FrameView, state: ReviewState) -> FrameView:
         """View with who helped: on the card, and as the colour of the boxes where that is asked for."""
@@ -140,7 +149,8 @@ class ReviewModel(Judgements):
         self, frame: Frame, state: ReviewState, ego_id: int, review_from_world: NDArray[np.float64]
     ) -> tuple[AgentView, ...]:
         """Agents as drawn; the same objects while their settings stay."""
-        key = (state.drive, state.frame, self.setup(state), ego_id, state.hidden, state.color_by, state.max_points)
+        look = state.hidden, state.color_by, state.theme, state.max_points
+        key = state.drive, state.frame, self.setup(state), ego_id, *look
         rows = range(len(frame.agents))
         recorded = self.stores[state.drive].recorded(state.frame) if state.color_by == "fate" else frame
         return self._agents.get(

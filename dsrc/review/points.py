@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.review.palette import FATE_COLORS, TURBO, VIRIDIS, Rgb, ramp
-from dsrc.review.state import ColorBy
+from dsrc.review.palette import FATE_COLORS, LOOKS, TURBO, VIRIDIS, Rgb, ramp
+from dsrc.review.state import ColorBy, Theme
 from sensors.sweep import ADDED, Sweep
 
 FLOAT16_LIMIT_M = 1000.0
@@ -13,6 +13,8 @@ FLOAT16_LIMIT_M = 1000.0
 
 HEIGHT_M = (-0.5, 8.0)
 """Heights above the road between which points are coloured by height, m."""
+GROUND_M = 0.35
+"""Height above the road below which points are faint, m."""
 
 
 def subsample(sweep: Sweep, max_points: int) -> NDArray[np.intp]:
@@ -68,12 +70,14 @@ def point_colors(
     agent_rgb: Rgb,
     height_of: NDArray[np.float64],
     rows: NDArray[np.intp] | None = None,
+    theme: Theme = "light",
 ) -> NDArray[np.uint8]:
     """(P, 3) uint8 colours of the points.
 
     Args:
         height_of: (4,) third row of body_from_lidar: sensors may be tilted.
         rows: of the points that are drawn; None for all.
+        theme: whose ground the points of the ground fade into.
     """
     chosen = slice(None) if rows is None else rows
     if color_by == "intensity":
@@ -87,7 +91,8 @@ def point_colors(
     if color_by == "fate":
         table = np.array([FATE_COLORS[f] for f in sorted(FATE_COLORS)], np.uint8)
         return table.take(np.minimum(sweep.fate[chosen], len(table) - 1), axis=0)
-    return _shade(_height(sweep.points[chosen], height_of), sweep.object_id[chosen], agent_rgb)
+    rgb = LOOKS[theme].ink if color_by == "verdict" else agent_rgb
+    return _shade(_height(sweep.points[chosen], height_of), sweep.object_id[chosen], rgb, LOOKS[theme].faded)
 
 
 def _height(points: NDArray[np.float32], height_of: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -95,12 +100,12 @@ def _height(points: NDArray[np.float32], height_of: NDArray[np.float64]) -> NDAr
     return np.asarray(points @ height_of[:3].astype(np.float32) + np.float32(height_of[3]), np.float32)
 
 
-def _shade(height_m: NDArray[np.floating], object_id: NDArray[np.integer], rgb: Rgb) -> NDArray[np.uint8]:
-    """Dim the ground and the buildings, so that actors stand out of their agent's one colour."""
-    levels = np.array([0.38, 0.6, 1.0])
+def _shade(height_m: NDArray[np.floating], object_id: NDArray[np.integer], rgb: Rgb, faded: Rgb) -> NDArray[np.uint8]:
+    """Fade the ground and the buildings, so that road users stand out of one colour."""
+    strength = np.array([[0.12], [0.35], [1.0]])
     # In bytes: all points of all agents are shaded in every frame.
-    level = np.maximum(height_m > 0.35, 2 * (object_id >= 0).view(np.int8)).astype(np.intp)
-    table = np.round(levels[:, None] * np.array(rgb, np.float64)).astype(np.uint8)
+    level = np.maximum(height_m > GROUND_M, 2 * (object_id >= 0).view(np.int8)).astype(np.intp)
+    table = np.round(np.array(faded) + strength * (np.array(rgb, np.float64) - np.array(faded))).astype(np.uint8)
     return table.take(level, axis=0)
 
 

@@ -18,7 +18,7 @@ SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels", "pl
 """Layers of the page that can be switched off; the last three are of episodes."""
 EPISODE_LAYERS = SHOWN_LAYERS[-3:]
 
-Theme = Literal["dark", "light"]
+Theme = Literal["light", "dark"]
 
 Listed = Literal["all", "missed", "false", "poor", "broken", "fixed"]
 """Errors in the list: all of them, those of a kind, objects that only the other run finds, or only this one."""
@@ -45,7 +45,7 @@ class ReviewState:
         parameters: those of the corruption that differ from the severity's.
         threshold: least score of a shown detection.
         iou: least bird's-eye IoU of a true positive.
-        color_by: quantity shown by the colour of a point.
+        color_by: what colour means; `agent` in place of `verdict` where nothing is judged.
         boxes_by: meaning of the boxes' colours; `verdict` wherever shares are unknown.
         hidden: agents with hidden points.
         layers_off: hidden layers, of `SHOWN_LAYERS`.
@@ -81,17 +81,17 @@ class ReviewState:
     parameters: Changes = ()
     threshold: float = 0.3
     iou: float = 0.5
-    color_by: ColorBy = "agent"
+    color_by: ColorBy = "verdict"
     boxes_by: BoxesBy = "shares"
     hidden: frozenset[int] = field(default_factory=frozenset)
     layers_off: frozenset[str] = field(default_factory=frozenset)
     object_id: int | None = None
     detection: int | None = None
     max_points: int = 60_000
-    point_size_m: float = 0.11
+    point_size_m: float = 0.07
     camera: Camera = "free"
     speed: float = 1.0
-    theme: Theme = "dark"
+    theme: Theme = "light"
     sensor: str = ""
     carrier: str = "ego"
     placement: tuple[float, ...] = ()

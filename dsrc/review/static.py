@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.review.palette import Rgb
 from sim.boxes import CLASSES
 from sim.errors import DataError, ScenarioError, UserError
 
@@ -15,25 +14,23 @@ SINK_M = 0.12
 """Depth of the drawn world below the real one, m: points on the road stay visible."""
 GROUND_SINK_M = 0.4
 """The same of the ground: from afar a browser cannot tell which of two planes some centimetres apart is in front."""
-_GROUND = "green"
+_GROUND = "ground"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticPart:
-    """Mesh of one colour.
+    """Mesh of one colour, see `dsrc.review.palette.Look`.
 
     Attributes:
-        name: name of its node.
+        name: of its node and its colour.
         vertices: (V, 3) float32, review frame.
         faces: (F, 3) uint32.
-        rgb: colour.
         opacity: None for opaque.
     """
 
     name: str
     vertices: NDArray[np.float32]
     faces: NDArray[np.uint32]
-    rgb: Rgb
     opacity: float | None = None
 
 
@@ -58,24 +55,22 @@ def load_bodies() -> None:
 
 @dataclass(frozen=True, slots=True)
 class _MaterialStyle:
-    """Drawing style of some materials: one mesh, colour and opacity."""
+    """Drawing style of some materials: one mesh and opacity."""
 
     name: str
     materials: tuple[str, ...]
-    rgb: Rgb
     opacity: float | None = None
 
 
-# Unsaturated, and bright enough to be told from either sky: bright colours belong to agents and to TP, FP and FN.
 _MATERIAL_STYLES = (
-    _MaterialStyle("roads", ("asphalt", "gravel"), (58, 62, 70)),
-    _MaterialStyle("markings", ("marking",), (150, 156, 166)),
-    _MaterialStyle("pavements", ("pavement", "kerb"), (82, 86, 94)),
-    _MaterialStyle(_GROUND, ("ground",), (40, 47, 45)),
-    _MaterialStyle("plants", ("hedge", "leaves", "bark"), (76, 98, 80)),
-    _MaterialStyle("buildings", ("brick", "plaster", "concrete", "roof", "glass"), (96, 104, 122), 0.55),
+    _MaterialStyle("roads", ("asphalt", "gravel")),
+    _MaterialStyle("markings", ("marking",)),
+    _MaterialStyle("pavements", ("pavement", "kerb")),
+    _MaterialStyle(_GROUND, ("ground",)),
+    _MaterialStyle("plants", ("hedge", "leaves", "bark")),
+    _MaterialStyle("buildings", ("brick", "plaster", "concrete", "roof", "glass"), 0.55),
 )
-_REST = _MaterialStyle("furniture", (), (108, 114, 126))
+_REST = _MaterialStyle("furniture", ())
 
 
 def static_parts(
@@ -134,5 +129,5 @@ def split_by_material(
         used, flat = np.unique(group_faces, return_inverse=True)
         sink = GROUND_SINK_M if style.name == _GROUND else SINK_M
         moved = (vertices[used] - origin - [0.0, 0.0, sink]).astype(np.float32)
-        parts.append(StaticPart(style.name, moved, flat.reshape(-1, 3).astype(np.uint32), style.rgb, style.opacity))
+        parts.append(StaticPart(style.name, moved, flat.reshape(-1, 3).astype(np.uint32), style.opacity))
     return parts

@@ -123,24 +123,25 @@ def _size(size: tuple[float, float, float]) -> str:
 
 def box_legend(view: FrameView) -> list[tuple[Rgb, str, str]]:
     """Colours of the boxes, what they mean, and the names of their counts in an exported page, "" without one."""
+    ink = palette.LOOKS[view.theme].ink
     other = (palette.OTHER, "object, not evaluated", "other")
     if view.help is not None:
         return [
-            (palette.TRUTH, "object, coloured by who helped most", "found"),
-            (palette.TRUTH, "false detection, crossed, by who made it", "made"),
+            (ink, "object, coloured by who helped most", "found"),
+            (ink, "false detection, crossed, by who made it", "made"),
             (palette.FP, "red cross: an agent lowers the score", "harmed"),
             (palette.FN, "missed by all, dashed", "missed"),
             other,
         ]
     if not view.labelled:
-        return [(palette.TRUTH, "detection, not judged", "detected")]
+        return [(ink, "detection, not judged", "detected")]
     if view.counts is None:
-        return [(palette.TRUTH, "object in sight of an agent", "objects"), other]
+        return [(ink, "object in sight of an agent", "objects"), other]
+    judged = view.color_by == "verdict"
     return [
-        (palette.TP, "true positive", "tp"),
-        (palette.FP, "false positive, crossed", "fp"),
-        (palette.FN, "false negative, dashed", "fn"),
-        (palette.TRUTH, "detected object", ""),
+        (palette.TP if judged else ink, "true positive", "tp"),
+        (palette.FP if judged else ink, "false positive, crossed", "fp"),
+        (palette.FN if judged else ink, "false negative, dashed", "fn"),
         (palette.OTHER, "object, not evaluated", ""),
     ]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dsrc.review.matching import Counts
 from dsrc.review.palette import Rgb
 from dsrc.review.sources.moment import EpisodeMoment
-from dsrc.review.state import ColorBy
+from dsrc.review.state import ColorBy, Theme
 from sensors.frame import AgentKind
 from sim.boxes import Boxes
 
@@ -215,7 +215,8 @@ class FrameView:
         ranks: places in the order of the scores of the boxes of each layer of detections.
         linked: (K, 2, 3) float64 lines from the ego's sensor to its collaborators'.
         layers_off: hidden layers.
-        color_by: quantity shown by the colour of a point.
+        color_by: what colour means.
+        theme: of the page.
         point_size_m: side of a drawn point, m.
         labelled: whether the drive has ground truth; without it nothing is judged.
         detected: number of drawn detections.
@@ -241,6 +242,7 @@ class FrameView:
     linked: NDArray[np.float64]
     layers_off: frozenset[str]
     color_by: ColorBy
+    theme: Theme
     point_size_m: float
     labelled: bool = True
     detected: int = 0

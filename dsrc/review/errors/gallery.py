@@ -90,14 +90,14 @@ def _drawn(clean: Frame, shown: Frame, errors: ErrorTable, row: int, hidden_from
     back, box = invert(lidar), Boxes.from_array(errors.box[row : row + 1].astype(np.float64))
     middle, floor = box.center[0, :2], float(box.center[0, 2] - 0.5 * box.size[0, 2]) + _GROUND_M
     parts = []
-    for frame, rgb, faded in ((clean, (120, 128, 140), 0.8), (shown, (225, 232, 240), 1.0)):
+    for frame, rgb, faded in ((clean, (178, 184, 191), 0.8), (shown, palette.LOOKS["light"].ink, 1.0)):
         clouds = [transform_points(back @ one.sweep.world_from_lidar, one.sweep.points[:, :3]) for one in frame.agents]
         points = np.concatenate(clouds)
         near = (np.abs(points[:, :2] - middle) <= _HALF_M).all(axis=1) & (points[:, 2] > floor)
         parts.append(_points(points[near, :2] - middle, rgb, faded))
     truth = clean.truth.transform(back)
     around = np.abs(truth.center[:, :2] - middle).max(axis=1, initial=0.0) <= 2.0 * _HALF_M
-    parts += [_outline(one - middle, palette.TRUTH, "") for one in truth[around].bev_polygons()]
+    parts += [_outline(one - middle, palette.OTHER, "") for one in truth[around].bev_polygons()]
     false = errors.kind[row] == FP
     (corners,) = box.bev_polygons()
     parts.append(_outline(corners - middle, palette.FP if false else palette.FN, "" if false else "1.2 .8", 0.5))
@@ -108,7 +108,7 @@ def _drawn(clean: Frame, shown: Frame, errors: ErrorTable, row: int, hidden_from
                 dash = "1 1" if agent.agent_id in hidden_from else ""
                 parts.append(_outline(np.stack([place, [0.0, 0.0]]), palette.agent_color(number), dash))
     h = _HALF_M
-    size = f'viewBox="{-h:g} {-h:g} {2 * h:g} {2 * h:g}" width="100%" style="background:#12161f;border-radius:4px"'
+    size = f'viewBox="{-h:g} {-h:g} {2 * h:g} {2 * h:g}" width="100%" style="background:#eef1f3;border-radius:4px"'
     return f"<svg {size}>{''.join(parts)}</svg>"
 
 

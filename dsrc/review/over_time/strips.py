@@ -55,7 +55,7 @@ def object_strips(
     strips += [
         Strip("points", points, digits=0),
         Strip("visible, %", lines(seen.visible, 100.0), high=100.0, digits=0),
-        Strip("distance, m", [Line("", palette.TRUTH, seen.rows, seen.distance_m)]),
+        Strip("distance, m", [Line("", palette.OTHER, seen.rows, seen.distance_m)]),
     ]
     return [strip for strip in strips if strip.lines]
 
@@ -79,4 +79,4 @@ def _left(run: JudgedRun, object_id: int) -> Line | None:
     if not ((after >= 0) & (after < before)).any():
         return None
     left = np.where(after >= 0, after, np.nan).astype(np.float64)
-    return Line("left", palette.SELECTED, run.table.position[run.truth_frame_of[own]], left, dashed=True)
+    return Line("left", palette.OTHER, run.table.position[run.truth_frame_of[own]], left, dashed=True)

@@ -17,10 +17,9 @@ from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.cameras import overview
 from dsrc.review.page.cells import PAIR, CellPair
 from dsrc.review.page.link import read_link
-from dsrc.review.page.scene import place_static, set_light, set_start_camera
+from dsrc.review.page.scene import set_light, set_start_camera
 from dsrc.review.page.server import LOOPBACK, address, allowed_hosts, checked_port, link_of, start_server, stop_server
 from dsrc.review.page.session import Session
-from dsrc.review.page.stage import root_of
 from dsrc.review.sources.live import LiveSource
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, load_bodies
@@ -38,7 +37,7 @@ log = logging.getLogger(__name__)
 
 
 class ReviewApp:
-    """Live review page: sessions by browser, and the static worlds that all of them see.
+    """Live review page: sessions by browser, and what all of them share.
 
     Attributes:
         model: drives, detector and caches.
@@ -59,7 +58,7 @@ class ReviewApp:
         self._using_model = threading.Lock()
         self._changed = threading.Condition()
         self._closed = False
-        self._worlds: dict[int, str] = {}
+        self._worlds: dict[int, tuple[list[StaticPart], str]] = {}
         self._pairs: dict[str, CellPair] = {}
         set_light(server.scene)
         server.on_client_connect(self._open)
@@ -98,7 +97,7 @@ class ReviewApp:
         state, pose, complaints = read_link(link, self.model, self.start)
         session = Session(
             *(self.model, self._using_model, self.worker, client, state),
-            *(pose, "\n\n".join(complaints), self._place_world),
+            *(pose, "\n\n".join(complaints), self._world),
         )
         with self._changed:
             connected = not self._closed and client.client_id in self.server.get_clients()
@@ -127,23 +126,15 @@ class ReviewApp:
         if session is not None:
             session.close()
 
-    def _place_world(self, drive: int) -> str:
-        """Draw the static world of a drive, once for all browsers, and return why it is not drawn, "" where it is."""
-        with self._changed:
-            if drive in self._worlds:
-                return self._worlds[drive]
-            self._worlds[drive] = ""
-        parts: list[StaticPart] = []
-        try:
-            with self._using_model:
-                parts = self.model.static_parts(drive)
-        except UserError as error:
-            self._worlds[drive] = str(error)
-        with self.server.atomic():
-            self.server.scene.add_frame(root_of(drive), show_axes=False)
-            self.server.scene.add_frame(f"{root_of(drive)}/world", show_axes=False)
-            place_static(self.server.scene, root_of(drive), parts)
-        return self._worlds[drive]
+    def _world(self, drive: int) -> tuple[list[StaticPart], str]:
+        """Return the static world of a drive, rebuilt once, and why it is not drawn, "" where it is."""
+        with self._using_model:
+            if drive not in self._worlds:
+                try:
+                    self._worlds[drive] = self.model.static_parts(drive), ""
+                except UserError as error:
+                    self._worlds[drive] = [], str(error)
+            return self._worlds[drive]
 
 
 class LivePage:

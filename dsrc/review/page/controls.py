@@ -210,7 +210,7 @@ CONTROLS: tuple[Control, ...] = (
     Control("error_range", Choice(_same(*BANDS)), "Distance, m", "Errors", link="distance", shown=_detects),
     Control("error_seen_by", Choice(_named(_SEEN)), "Seen by", "Errors", link="seen", shown=_detects),
     Control("gallery", Switch(), "Draw the worst", "Errors by cause", link="gallery", shown=_detects),
-    Control("color_by", Choice(_same(*COLOR_BY)), "Points by", "Look", link="color", key="U"),
+    Control("color_by", Choice(_same(*COLOR_BY)), "Colour by", "Look", link="color", key="U"),
     Control(
         "boxes_by",
         Choice(_named({"Who helped": "shares", "Verdict": "verdict"})),

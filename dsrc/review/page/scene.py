@@ -1,6 +1,6 @@
 """SceneWriter: FrameViews drawn into a viser scene, one named node each, updated in place."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,9 +43,9 @@ from sim.boxes import CLASSES, Boxes
 
 @dataclass(frozen=True, slots=True)
 class BoxStyle:
-    """Style of a box layer: colour, line width in pixels, form, opacity of the faces."""
+    """Style of a box layer: colour, None for that of lines, line width in pixels, form, opacity of the faces."""
 
-    rgb: Rgb
+    rgb: Rgb | None
     thickness: float
     form: str = "solid"
     fill: float = 0.0
@@ -53,12 +53,12 @@ class BoxStyle:
 
 STYLES = {
     OTHER_TRUTH: BoxStyle(palette.OTHER, 1.0),
-    DETECTED_TRUTH: BoxStyle(palette.TRUTH, 1.5),
-    FALSE_NEGATIVES: BoxStyle(palette.FN, 3.0, "dashed", 0.22),
+    DETECTED_TRUTH: BoxStyle(None, 1.5),
+    FALSE_NEGATIVES: BoxStyle(palette.FN, 5.0, "dashed", 0.4),
     TRUE_POSITIVES: BoxStyle(palette.TP, 2.5, "solid", 0.16),
-    FALSE_POSITIVES: BoxStyle(palette.FP, 3.0, "crossed", 0.22),
-    UNJUDGED: BoxStyle(palette.TRUTH, 2.5, "solid", 0.16),
-    SELECTED: BoxStyle(palette.SELECTED, 4.0),
+    FALSE_POSITIVES: BoxStyle(palette.FP, 4.0, "crossed", 0.25),
+    UNJUDGED: BoxStyle(None, 2.5, "solid", 0.16),
+    SELECTED: BoxStyle(None, 4.0),
 }
 _FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
 _NO_LINES = np.zeros((0, 2, 3), np.float32)
@@ -79,7 +79,7 @@ class Clicked:
 
 
 def set_light(scene: viser.SceneApi) -> None:
-    """Set the light: horizontal faces have the colour that they are given, upright ones are darker."""
+    """Set the light of all themes: horizontal faces have the colour that they are given, upright ones are darker."""
     # The default environment map washes colours out.
     scene.configure_environment_map(None)
     scene.configure_default_lights(False)
@@ -91,45 +91,16 @@ def set_light(scene: viser.SceneApi) -> None:
 
 
 def backdrop(theme: Theme, height_px: int = 256) -> NDArray[np.uint8]:
-    """(H, 3) colours of a theme's background from the top down: a sky, brighter at the horizon."""
+    """(H, 3) colours of a theme's sky from the top down."""
     height = np.linspace(0.0, 1.0, height_px)[:, None]
-    rgb = np.array(palette.BACKGROUNDS[theme], np.float64)
-    glow = np.exp(-(((height - 0.22) / 0.25) ** 2))
-    return np.clip(rgb + glow * np.array([12.0, 17.0, 30.0]), 0, 255).astype(np.uint8)
+    sky = np.array(palette.LOOKS[theme].sky, np.float64)
+    # Bluer upwards, towards the ground beyond the drawn world below.
+    return np.clip(sky - (0.5 - height) * np.array([22.0, 12.0, 4.0]), 0, 255).astype(np.uint8)
 
 
-def set_theme(scene: viser.SceneApi, theme: Theme) -> None:
-    """Set the background image of a theme and its light, which makes the static world as bright as the sky."""
+def set_sky(scene: viser.SceneApi, theme: Theme) -> None:
+    """Set the background image of a theme."""
     scene.set_background_image(np.repeat(backdrop(theme)[:, None], 4, axis=1), format="png")
-    scene.add_light_ambient("/light/theme", intensity=(palette.BRIGHTNESS[theme] - 1.0) * np.pi)
-
-
-def place_static(scene: viser.SceneApi, root: str, parts: list[StaticPart]) -> None:
-    """Draw the static world of a drive below the node `world` of `root`, or a grid without one."""
-    if not parts:
-        scene.add_grid(
-            f"{root}/world/grid",
-            width=400.0,
-            height=400.0,
-            cell_size=5.0,
-            cell_color=palette.GRID[0],
-            section_size=25.0,
-            section_color=palette.GRID[1],
-            position=(0.0, 0.0, -0.05),
-            fade_distance=260.0,
-        )
-    for part in parts:
-        scene.add_mesh_simple(
-            f"{root}/world/{part.name}",
-            part.vertices,
-            part.faces,
-            color=part.rgb,
-            opacity=part.opacity,
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
 
 
 class SceneWriter:
@@ -139,7 +110,6 @@ class SceneWriter:
         scene: of a server or of one browser.
         root: root node.
         point_step_m: grid to which points are rounded, m; 0 for none.
-        theme: in whose light the scene is.
     """
 
     def __init__(
@@ -158,10 +128,10 @@ class SceneWriter:
         self.scene = scene
         self.root = root
         self.point_step_m = point_step_m
-        self.theme: Theme = "dark"
         self._nodes: dict[str, Any] = {}
         # View of each cloud: an unchanged one is not sent again.
         self._drawn: dict[str, AgentView] = {}
+        self._look = palette.LOOKS["light"]
         self._on_click = on_click
         self._clickable: dict[str, tuple[Clicked, ...]] = {}
         self._compared = 0
@@ -175,8 +145,44 @@ class SceneWriter:
         for kept in (self._nodes, self._drawn, self._clickable):
             kept.clear()
 
+    def place_world(self, parts: Sequence[StaticPart], theme: Theme) -> None:
+        """Draw the static world of a drive, or a grid without one; where it is placed, only its colours change."""
+        self._frame("world")
+        look = palette.LOOKS[theme]
+        if not parts and "world/grid" not in self._nodes:
+            self._nodes["world/grid"] = self.scene.add_grid(
+                f"{self.root}/world/grid",
+                width=400.0,
+                height=400.0,
+                cell_size=5.0,
+                cell_color=look.grid[0],
+                section_size=25.0,
+                section_color=look.grid[1],
+                position=(0.0, 0.0, -0.05),
+                fade_distance=260.0,
+            )
+        if "world/grid" in self._nodes:
+            self._nodes["world/grid"].cell_color, self._nodes["world/grid"].section_color = look.grid
+        for part in parts:
+            name = f"world/{part.name}"
+            if name in self._nodes:
+                self._nodes[name].color = look.world[part.name]
+                continue
+            self._nodes[name] = self.scene.add_mesh_simple(
+                f"{self.root}/{name}",
+                part.vertices,
+                part.faces,
+                color=look.world[part.name],
+                opacity=part.opacity,
+                flat_shading=True,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+
     def write(self, view: FrameView) -> None:
         """Draw a frame; the caller groups it with `atomic()`."""
+        self._look = palette.LOOKS[view.theme]
         for agent in view.agents:
             self._write_agent(agent, view)
         drawn = {_agent_node(agent) for agent in view.agents}
@@ -187,15 +193,18 @@ class SceneWriter:
             off = name.split("/")[0] in view.layers_off
             style = STYLES[name]
             if name == DETECTED_TRUTH and view.counts is not None:
-                # A detected object lies under its green detection: a hairline is enough.
-                style = BoxStyle(style.rgb, 1.0, style.form, 0.0)
+                # A detected object lies under its detection: a hairline is enough.
+                style = STYLES[OTHER_TRUTH]
+            if view.color_by != "verdict" and name != OTHER_TRUTH:
+                # Colour tells one thing at a time; their forms say which are right and which wrong.
+                style = replace(style, rgb=None)
             self._write_boxes(name, view.layers[name], style, not off)
             if style.fill > 0.0:
                 self._make_clickable(f"{name}/faces", _boxes_clicked(view, name))
         self._write_help(view)
         self._write_compared(view)
         self._frame("links").visible = "links" not in view.layers_off
-        self._lines("links/heard", view.linked.astype(np.float32), view.ego.rgb, 1.5)
+        self._lines("links/heard", view.linked.astype(np.float32), palette.OTHER, 1.0)
         self._write_moment(view)
         self._frame("world").visible = "world" not in view.layers_off
 
@@ -256,9 +265,10 @@ class SceneWriter:
 
     def _write_bodies(self, view: FrameView) -> None:
         self._frame("bodies").visible = "bodies" not in view.layers_off
-        colors = np.full((len(view.truth), 3), palette.BODY, np.uint8)
+        colors = np.full((len(view.truth), 3), self._look.body, np.uint8)
         for row, agent in enumerate(view.agents):
-            colors[view.agent_of == row] = agent.rgb
+            if agent.is_ego or view.color_by == "agent":
+                colors[view.agent_of == row] = agent.rgb
         base = view.truth.center - [0.0, 0.0, 0.5] * view.truth.size
         for label, class_name in enumerate(CLASSES):
             name, rows = f"bodies/{class_name}", view.truth.label == label
@@ -288,10 +298,11 @@ class SceneWriter:
         self._frame(name.split("/")[0])
         self._frame(name).visible = shown
         lines = _FORMS[style.form](boxes) if len(boxes) else _NO_LINES
-        self._lines(f"{name}/edges", lines, style.rgb, style.thickness)
+        rgb = style.rgb or self._look.ink
+        self._lines(f"{name}/edges", lines, rgb, style.thickness)
         if style.fill > 0.0:
             pose = (quaternions(boxes.yaw), boxes.center, boxes.size)
-            colors = np.tile(np.array(style.rgb, np.uint8), (len(boxes), 1))
+            colors = np.tile(np.array(rgb, np.uint8), (len(boxes), 1))
             self._batch(f"{name}/faces", (CUBE_VERTICES, CUBE_FACES), pose, colors, style.fill)
 
     def _write_help(self, view: FrameView) -> None:
@@ -376,8 +387,7 @@ class SceneWriter:
             self._hide(name)
             return
         node = self._nodes.get(name)
-        # The world alone gets brighter with the light of a theme.
-        colors = palette.linear(colors, palette.BRIGHTNESS[self.theme])
+        colors = palette.linear(colors)
         wxyz, position, size = (np.asarray(part, np.float32) for part in pose)
         if node is None:
             self._nodes[name] = self.scene.add_batched_meshes_simple(

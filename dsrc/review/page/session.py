@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -28,6 +28,7 @@ from dsrc.review.page.protocol import GoesOn, Shown
 from dsrc.review.page.scene import Clicked
 from dsrc.review.page.stage import Stage, root_of
 from dsrc.review.state import Camera, ReviewState, with_changes
+from dsrc.review.static import StaticPart
 from dsrc.review.texts import quoted
 from dsrc.review.view import FrameView
 from dsrc.review.worker import JobProgress, Worker
@@ -70,7 +71,7 @@ class Session:
         state: ReviewState,
         pose: CameraPose | None = None,
         notice: str = "",
-        place_world: Callable[[int], str] = lambda _: "",
+        world_of: Callable[[int], tuple[Sequence[StaticPart], str]] = lambda _: ((), ""),
     ) -> None:
         """Build the page and start drawing; `close` ends it.
 
@@ -79,7 +80,7 @@ class Session:
             worker: detects over whole runs in the background, for all browsers.
             pose: camera of the start, in the scene; None for that of the state.
             notice: text above the controls at the start.
-            place_world: function from the row of a drive, called after its first frame, to why its world is not drawn.
+            world_of: function from the row of a drive to its static world, and why that is not drawn.
         """
         self.model, self.client, self.gui, self.scene = model, client, client.gui, client.scene
         self.state = state
@@ -93,7 +94,7 @@ class Session:
         self.pair: CellPair | None = None
         self._refresh_at, self._busy = 0.0, False
         self._seen_frames = model.frame_count(state.drive)
-        self._place_world, self._placed = place_world, -1
+        self._world_of, self._placed = world_of, -1
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
         self._closed = False
@@ -409,7 +410,9 @@ class Session:
             if self._placed != state.drive:
                 # After the first frame: rebuilding a city takes longer than drawing.
                 self._placed = state.drive
-                if note := self._place_world(state.drive):
+                parts, note = self._world_of(state.drive)
+                self.stage.place_world(parts)
+                if note:
                     self.tell(note)
             self._read_ahead(state)
         except Exception as error:

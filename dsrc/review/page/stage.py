@@ -1,12 +1,13 @@
 """Stage: scene of one browser, with a root per drive of which one is shown."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import viser
 from numpy.typing import NDArray
 
-from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_theme
+from dsrc.review.page.scene import Clicked, SceneWriter, place_frame, set_sky
 from dsrc.review.state import Theme
+from dsrc.review.static import StaticPart
 from dsrc.review.view import FrameView
 
 
@@ -16,7 +17,7 @@ def root_of(drive: int) -> str:
 
 
 class Stage:
-    """Scene of one browser: the newest frame below the root of its drive, sky and light of the theme; not thread-safe.
+    """Scene of one browser: the newest frame below the root of its drive, sky and world of the theme; not thread-safe.
 
     Attributes:
         roots: nodes of the drives; a camera that follows moves them.
@@ -31,11 +32,12 @@ class Stage:
         """
         self._client, self._on_click = client, on_click
         self._theme: Theme | None = None
+        self._world: Sequence[StaticPart] | None = None
         self.roots = [client.scene.add_frame(root_of(row), show_axes=False, visible=False) for row in range(drives)]
         self.writer = self._writer_of(0)
 
     def set_theme(self, theme: Theme) -> None:
-        """Set panels, sky and light to a theme."""
+        """Set panels, sky and world to a theme."""
         if self._theme == theme:
             return
         self._theme = theme
@@ -46,7 +48,15 @@ class Stage:
             brand_color=(56, 150, 255),
             control_width="medium",
         )
-        set_theme(self._client.scene, theme)
+        set_sky(self._client.scene, theme)
+        if self._world is not None:
+            self.place_world(self._world)
+
+    def place_world(self, parts: Sequence[StaticPart]) -> None:
+        """Draw the static world of the shown drive."""
+        self._world = parts
+        with self._client.atomic():
+            self.writer.place_world(parts, self._theme or "light")
 
     def draw(self, view: FrameView, drive: int, scene_from_review: Callable[[], NDArray]) -> None:
         """Draw a frame in place of the last one.
@@ -56,8 +66,8 @@ class Stage:
         """
         if self.writer.root != root_of(drive):
             self.writer.clear()
+            self._world = None
             self.writer = self._writer_of(drive)
-        self.writer.theme = self._theme or "dark"
         with self._client.atomic():
             self.writer.write(view)
             for row, root in enumerate(self.roots):

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from dsrc.review.palette import AGENT_COLORS, FATE_COLORS
+from dsrc.review.palette import AGENT_COLORS, FATE_COLORS, LOOKS
 from dsrc.review.points import point_colors, subsample
-from dsrc.review.state import COLOR_BY, ColorBy
+from dsrc.review.state import COLOR_BY, ColorBy, Theme
 from sensors.sweep import KEPT, SCATTERED, Sweep, make_sweep
 from sim.geometry import invert, pose_matrix, transform_points
 
@@ -54,10 +54,13 @@ def test_every_colouring_gives_one_colour_per_point(color_by: ColorBy) -> None:
         assert colors.shape == (len(sweep), 3) and colors.dtype == np.uint8
 
 
-def test_actors_shine_in_their_agents_colour_and_the_ground_is_dim() -> None:
-    colors = point_colors(ground(1000, 10), "agent", (200, 100, 50), UPRIGHT)
-    assert (colors[:10] == (200, 100, 50)).all()
-    assert colors[10:].max() < 100
+@pytest.mark.parametrize("theme", LOOKS)
+def test_road_users_stand_out_in_their_agents_colour_and_the_ground_is_faint(theme: Theme) -> None:
+    for color_by, strong in (("agent", (200, 100, 50)), ("verdict", LOOKS[theme].ink)):
+        colors = point_colors(ground(1000, 10), color_by, (200, 100, 50), UPRIGHT, theme=theme).astype(int)
+        assert (colors[:10] == strong).all()
+        faint = np.abs(colors[10:] - LOOKS[theme].faded).max()
+        assert faint < 0.2 * np.abs(np.array(strong) - LOOKS[theme].faded).max()
 
 
 def test_a_tilted_sensor_sees_the_road_at_no_height() -> None:

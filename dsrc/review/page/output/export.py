@@ -24,10 +24,9 @@ from dsrc.review.page.overlay import SHOWN, CameraButton, add_overlay, frame_tex
 from dsrc.review.page.scene import (
     SceneWriter,
     backdrop,
-    place_static,
     set_light,
+    set_sky,
     set_start_camera,
-    set_theme,
 )
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState
@@ -47,7 +46,7 @@ PAGE_POINTS = 40 * MAX_POINTS
 """Most points of a page: about 10 MB."""
 SETTLE_S = 2.0
 """Time for which a browser builds the first picture, s."""
-POINT_SIZE_M = 0.13
+POINT_SIZE_M = 0.1
 """Side of a drawn point, m: thinned clouds need larger ones."""
 POINT_STEP_M = 1.0 / 32.0
 """Rounding of points, m: the resolution of float16 beyond 32 m; saves a quarter of the page."""
@@ -204,9 +203,8 @@ def export_states(model: ReviewModel, states: list[ReviewState], out: Path, foll
 def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewState], follow: bool) -> str:
     drive, interval_s = states[0].drive, model.interval_s(states[0].drive)
     set_light(server.scene)
-    set_theme(server.scene, states[0].theme)
+    set_sky(server.scene, states[0].theme)
     writer = SceneWriter(server.scene, ROOT, POINT_STEP_M)
-    writer.theme = states[0].theme
     root = server.scene.add_frame(ROOT, show_axes=False, position=_NEARLY_ZERO)
     views = [model.view(state) for state in states]
     first = views[0]
@@ -215,7 +213,7 @@ def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewSt
     # Every node of any frame is there from the start: what only a later frame brings would stay when one goes back.
     for view in (*views, first):
         writer.write(view)
-    place_static(server.scene, ROOT, _world(model, drive))
+    writer.place_world(_world(model, drive), states[0].theme)
     serializer = server.get_scene_serializer()
     # The player's end is its beginning: it goes from there to the first time without drawing the first frame.
     for number, view in [*enumerate(views[1:], start=2), (1, first)]:
@@ -225,7 +223,7 @@ def _record(server: viser.ViserServer, model: ReviewModel, states: list[ReviewSt
             # The camera of the page is fixed: the world moves instead.
             root.position = first.ego.review_from_body[:3, 3] - view.ego.review_from_body[:3, 3] + _NEARLY_ZERO
         writer.write(view)
-    html = serializer.as_html(dark_mode=True)
+    html = serializer.as_html(dark_mode=states[0].theme == "dark")
     poses = [("overview", "1", overview), ("chase", "2", chase), ("bird's eye", "3", birds_eye)]
     cameras = [CameraButton(name, key, make(first)) for name, key, make in poses]
     texts = [frame_texts(view, _subtitle(model, state)) for view, state in zip(views, states, strict=True)]

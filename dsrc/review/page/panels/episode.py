@@ -64,7 +64,7 @@ class EpisodePanel:
             uplot.Series(label="time"),
             uplot.Series(label="speed, m/s", stroke=css(palette.AGENT_COLORS[0]), width=2),
             uplot.Series(label="wanted, m/s²", stroke=css(palette.FN), width=1),
-            uplot.Series(label="now", stroke=css(palette.curve_color(0, theme)), width=0, points=dot),  # type: ignore[typeddict-item]
+            uplot.Series(label="now", stroke=css(palette.method_color(0)), width=0, points=dot),  # type: ignore[typeddict-item]
             uplot.Series(label="contact", stroke=css(palette.FP), width=0, points=dot),  # type: ignore[typeddict-item]
         )
         if self.plot is not None:

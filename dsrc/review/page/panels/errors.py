@@ -13,7 +13,7 @@ from dsrc.review.errors.notes import errors_csv
 from dsrc.review.errors.report import RunReport, curve_on_grid, shown_error
 from dsrc.review.page.panels.widgets import build_controls, set_fields
 from dsrc.review.page.protocol import Page, Shown
-from dsrc.review.palette import Rgb, css, curve_color
+from dsrc.review.palette import Rgb, css, method_color
 from dsrc.review.state import IOU_THRESHOLDS, ReviewState, Theme
 from dsrc.review.texts import html_table, quoted
 from dsrc.review.worker import JobProgress
@@ -129,10 +129,10 @@ class ErrorsPanel:
             if counts.recall is not None and counts.precision is not None:
                 mark[np.argmin(np.abs(_RECALL - counts.recall))] = counts.precision
             marks.append(mark)
-            series.append(uplot.Series(label=name, stroke=css(curve_color(row, state.theme)), width=2, spanGaps=False))
+            series.append(uplot.Series(label=name, stroke=css(method_color(row)), width=2, spanGaps=False))
         names = list(report.counts)
         series += [
-            uplot.Series(label=f"{name} at {state.threshold:g}", stroke=css(curve_color(row, state.theme)),
+            uplot.Series(label=f"{name} at {state.threshold:g}", stroke=css(method_color(row)),
                          width=0, points={"show": True, "size": 9})  # type: ignore[typeddict-item]
             for row, name in enumerate(names)
         ]  # fmt: skip

@@ -147,6 +147,7 @@ def test_an_agents_body_and_its_points_have_one_colour(opened: Opened, theme: st
     session = opened.session
     session.update(
         theme=theme,
+        color_by="agent",
         layers_off=frozenset({"truth", "detections", "labels", "world", "links"}),
         hidden=frozenset({1000, 1002, -1}),
     )

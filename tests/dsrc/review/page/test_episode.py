@@ -48,7 +48,7 @@ def test_a_world_that_cannot_be_rebuilt_is_told_on_the_first_frame(
     session.wait_drawn()
     told = session._notice
     assert told.visible and "roads and buildings are not drawn: " in told.content and "network" in told.content
-    assert app.server.scene.get_handle_by_name("/drive0/world/grid") is not None
+    assert session.client.scene.get_handle_by_name("/drive0/world/grid") is not None
     session.update(frame=1)
     session.wait_drawn()
     assert not told.visible

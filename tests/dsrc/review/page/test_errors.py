@@ -18,6 +18,7 @@ from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.notes import NotesPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
+from dsrc.review.palette import css, method_color
 from sim.errors import SettingsError
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.page.conftest import SocketBrowser
@@ -326,4 +327,4 @@ def test_in_the_light_theme_nothing_in_the_list_is_dark_and_no_curve_white(sessi
         wait_for(lambda theme=theme: errors._theme == theme)
     other = [row.color for row in errors.rows if row.visible and row.color != (56, 150, 255)]
     assert other and min(map(min, other)) > 200
-    assert errors.plot.series[1]["stroke"] == "rgb(40,46,58)"
+    assert errors.plot.series[1]["stroke"] == css(method_color(0))

@@ -22,7 +22,7 @@ FULL = ReviewState(
     corrupted_agents="ego", parameters=(("backscatter", 0.3), ("variant", "v2"), ("rounded", True)), threshold=0.55,
     sensor="vlp-16", carrier="1002", placement=(0.5, -1.25, 3.0, 90.0, -10.0),
     iou=0.7, color_by="fate", hidden=frozenset({1000, -1}), layers_off=frozenset({"bodies", "labels"}), object_id=1003,
-    max_points=9000, point_size_m=0.2, camera="chase", speed=0.5, theme="light",
+    max_points=9000, point_size_m=0.2, camera="chase", speed=0.5, theme="dark",
 )  # fmt: skip
 
 

@@ -21,8 +21,9 @@ from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp, serve
-from dsrc.review.page.scene import SceneWriter, place_static
+from dsrc.review.page.scene import SceneWriter
 from dsrc.review.page.server import address, start_server, stop_server
+from dsrc.review.palette import LOOKS
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
 from dsrc.review.view import UNJUDGED
 from sensors.frame import Frame
@@ -82,7 +83,7 @@ def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server: viser.ViserSer
 def test_layers_can_be_switched_off(server: viser.ViserServer, model: ReviewModel) -> None:
     writer = SceneWriter(server.scene)
     writer.write(model.view(ReviewState(layers_off=frozenset(SHOWN_LAYERS))))
-    place_static(server.scene, "", [])
+    writer.place_world([], "light")
     names = ("/truth/detected", "/detections/tp", "/bodies", "/world", "/links", "/agents/vehicle_1002/label")
     assert [node(server, name).visible for name in names] == [False] * 6
     assert node(server, "/agents/vehicle_1002/lidar/points").visible
@@ -274,13 +275,15 @@ def test_a_busy_port_is_one_line(tmp_path: Path) -> None:
         serve(tmp_path, host="256.1.1.1", block=False)
 
 
-def test_the_light_is_drawn_once_for_all(
+def test_the_light_is_drawn_once_for_all_and_every_browser_has_the_world_in_its_theme(
     app: ReviewApp, browser: SocketBrowser, connect_browser: type[SocketBrowser]
 ) -> None:
-    connect_browser(app)
-    assert node(app.server, "/light/ambient") is not None
-    assert node(app.server, "/drive0/world/grid") is not None
-    assert isinstance(app, ReviewApp) and len(app.sessions) == 2
+    session = connect_browser(app).session
+    session.update(theme="dark")
+    session.wait_drawn()
+    assert node(app.server, "/light/ambient") is not None and len(app.sessions) == 2
+    grids = [node(one.client, "/drive0/world/grid") for one in (browser.session, session)]
+    assert [grid.cell_color for grid in grids] == [LOOKS["light"].grid[0], LOOKS["dark"].grid[0]]
 
 
 def test_a_connection_that_a_browser_opens_ahead_and_drops_is_not_told(

@@ -44,7 +44,7 @@ def test_a_slider_moves_the_page(session: Session) -> None:
 CHANGES = {
     "frame": 3, "speed": 2.0, "camera": "chase", "object_id": 1003, "corruption": "fog", "severity": 5,
     "family": "paper", "threshold": 0.7, "iou": 0.3, "ego_id": 1002, "cooperative": False, "color_by": "height",
-    "point_size_m": 0.3, "max_points": 9000, "theme": "light", "layers_off": frozenset({"bodies"}),
+    "point_size_m": 0.3, "max_points": 9000, "theme": "dark", "layers_off": frozenset({"bodies"}),
     "methods": ("detector",), "listed": "missed", "versus": "alone", "error_method": "detector", "error_class": "truck",
     "error_range": "30-50", "error_seen_by": "helper", "sensor": "vlp-16", "carrier": "pole",
     "corrupted_agents": "ego", "gallery": True,
@@ -58,7 +58,7 @@ def test_every_control_follows_the_state(session: Session, fake_fog: list[tuple[
     bound = [control for panel in session.panels for control in getattr(panel, "controls", ())]
     for one in (one for one in bound if one.control.field == field):
         shown = {"camera": "Chase", "object_id": "car 1003", "speed": "2×", "ego_id": "vehicle 1002", "iou": "0.3",
-                 "theme": "Light", "versus": "ego alone", "error_seen_by": "helpers alone",
+                 "theme": "Dark", "versus": "ego alone", "error_seen_by": "helpers alone",
                  "methods": "detector", "corrupted_agents": "the ego",
                  "layers_off": one.control.label != "Bodies"}  # fmt: skip
         assert one.handle.value == shown.get(field, CHANGES[field])
@@ -323,8 +323,8 @@ def test_commands_change_the_page(session: Session, fake_fog: list[tuple[int, st
     assert session.state.hidden == {1000, -1}
     run["Points of all agents"](session)
     assert session.state.hidden == frozenset()
-    run["Points by: next"](session)
-    assert session.state.color_by == "intensity"
+    run["Colour by: next"](session)
+    assert session.state.color_by == "agent"
     run["Cooperative or alone"](session)
     assert not session.state.cooperative
     for label in ("Camera: chase the ego", "Camera: bird's eye", "Camera: reset"):
