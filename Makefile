@@ -7,6 +7,9 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 # https://download.pytorch.org/whl/cu128 for a GPU.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
+# What `make test` runs.
+QUICK := not slow and not browser and not extra
+
 .PHONY: demo test test-extras test-slow test-browser test-explore fuzz lint format docs docs-pages clean
 
 # An interrupted demo resumes.
@@ -15,9 +18,9 @@ demo: $(READY)
 
 # Compiled modules are kept whatever the environment says: the tests start some hundred processes.
 test: $(READY)
-	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile -m '$(QUICK)'
 
-# Tests of optional packages: ONNX, Ray, MCAP, stable-baselines3.
+# Tests that need optional packages: ONNX, Ray, MCAP, stable-baselines3, those that write the files of others.
 test-extras: $(READY)
 	$(INSTALL) --editable '.[dev,onnx,ray,argoverse,ros,mcap,rl,osi,foreign]'
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m 'extra and not slow and not browser' \

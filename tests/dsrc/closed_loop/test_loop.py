@@ -223,6 +223,7 @@ def test_one_seed_is_one_episode_bit_for_bit() -> None:
         assert np.array_equal(one.actors.boxes.array, other.actors.boxes.array)
 
 
+@pytest.mark.slow
 def test_another_process_with_other_threads_writes_the_same_log(tmp_path: Path) -> None:
     """Traffic, rays, network and tracks of a detector's drive, byte for byte."""
     script = (

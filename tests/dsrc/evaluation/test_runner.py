@@ -156,9 +156,12 @@ def test_cells_of_earlier_code_are_taken_when_asked_for(
     assert not {key for entry in result.entries for key in entry.cells} & {k for e in done[1].entries for k in e.cells}
     assert provenance_of(result)["reused"] == {"results": done[1].made, "listed_in": "cells/reused.json"}
     assert "reused" not in provenance_of(done[1])
-    assert run_plan(replace(plan, seed=1), root / "other", reuse=[done[0]]).made > 0
+    part = replace(plan, corruption=("fog",), sweeps=ParameterSweeps())
+    assert run_plan(part, root / "part", reuse=[done[0]]).made == 0
+    assert run_plan(replace(part, seed=1), root / "other", reuse=[done[0]]).made > 0
 
 
+@pytest.mark.slow
 def test_two_processes_find_what_one_does(done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path) -> None:
     part, _, whole = unswept(done, plan, root / "one")
     write_report(run_plan(part, root / "two", Pool(workers=2)), root / "two")

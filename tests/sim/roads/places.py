@@ -17,7 +17,7 @@ from sim.world.roads.streets import Streets, read_streets
 SCENARIOS = {name: load_scenario(name) for name in list_scenarios()}
 PLACES = [name for name, s in SCENARIOS.items() if s.conflict is None and not s.network.highway_env]
 MOTORWAYS = ("highway", "motorway_a10")
-QUICK = ("braunschweig", "four_way", "helsinki", "rilsa_1")
+QUICK = ("braunschweig", "four_way", "rilsa_1")
 """Those that are looked at in every run; the others are slow."""
 
 

@@ -92,7 +92,7 @@ def test_a_town_has_lights_kerbs_and_something_that_hides(name: str) -> None:
     assert len(mesh.faces) < 250_000
 
 
-@pytest.mark.parametrize("name", ["four_way", "helsinki", "rilsa_1"])
+@pytest.mark.parametrize("name", every(["four_way", "helsinki", "rilsa_1"]))
 def test_a_light_stands_at_every_stop_line_of_a_signalled_junction_and_none_on_the_road(name: str) -> None:
     mesh, streets = world_of(name), streets_of(name)
     lamps = mesh.triangles[mesh.face_attributes["material"] == material_index("signal_lamp")].mean(axis=1)[:, :2]
@@ -108,7 +108,7 @@ def test_a_light_stands_at_every_stop_line_of_a_signalled_junction_and_none_on_t
     assert not shapely.contains_xy(streets.road, *lamps.T).any()
 
 
-@pytest.mark.parametrize("name", ["rilsa_1", "helsinki"])
+@pytest.mark.parametrize("name", every(["rilsa_1", "helsinki"]))
 def test_parked_cars_stand_beside_the_lanes_and_are_the_same_again(name: str) -> None:
     scenario = at_hand(name)
     net = read_network(resolve_network(scenario, 1))

@@ -59,12 +59,12 @@ def check_road(name: str, seed: int, seconds: float, least: float) -> None:
     assert ours.progress_m > least * theirs.progress_m
 
 
-@pytest.mark.parametrize("name", ["braunschweig", "motorway_a10"])
+@pytest.mark.parametrize("name", ["braunschweig", pytest.param("motorway_a10", marks=pytest.mark.slow)])
 def test_in_traffic_it_crashes_into_nobody_and_keeps_up_with_sumos_own_driver(name: str) -> None:
     check_road(name, 0, 15.0, 0.8)
 
 
-@pytest.mark.parametrize("name", ["merge", "roundabout"])
+@pytest.mark.parametrize("name", [pytest.param("merge", marks=pytest.mark.slow), "roundabout"])
 def test_on_roads_of_highway_env_too(name: str) -> None:
     check_road(f"highway_env_{name}", 0, 15.0, 0.8)
 

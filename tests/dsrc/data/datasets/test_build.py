@@ -115,6 +115,7 @@ def first(out: Path, pattern: str) -> Iterator[Path | None]:
         yield next(out.glob(pattern), None)
 
 
+@pytest.mark.slow
 def test_a_killed_driver_loses_nothing(made: Path, tmp_path: Path) -> None:
     process = start(write(tmp_path), tmp_path / "out")
     wait_for(first(tmp_path / "out", "*/*/*/000000.pcd"), process)
@@ -128,6 +129,7 @@ def test_a_killed_driver_loses_nothing(made: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="finds the workers in /proc")
+@pytest.mark.slow
 def test_a_killed_worker_is_replaced(made: Path, tmp_path: Path) -> None:
     process = start(write(tmp_path), tmp_path / "out")
     wait_for(first(tmp_path / "out", "*/*/*/000000.pcd"), process)
@@ -157,7 +159,7 @@ def test_other_settings_or_another_dataset_are_refused_before_anything_is_made(m
 def test_a_failed_drive_is_named_and_the_others_are_made(tmp_path: Path) -> None:
     wrong = SMALL.replace("vehicles = [2]", "vehicles = [300]", 1)
     with pytest.raises(DataError, match=r"train/quick_0: .*expected 300 cars.*\(2 of 3 drives"):
-        generate_dataset(write(tmp_path, wrong), tmp_path / "out", pool=Pool(2), cards=False)
+        generate_dataset(write(tmp_path, wrong), tmp_path / "out", pool=Pool(1), cards=False)
     manifest = read_manifest(tmp_path / "out")
     assert manifest is not None and list(manifest.failed) == [f"train/quick_{k}" for k in (0, 1)]
     assert [entry.drive for entry in manifest.items] == ["test/quick_2"]

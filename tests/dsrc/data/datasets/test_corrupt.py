@@ -275,7 +275,7 @@ def test_a_folder_in_use_is_refused(data: Path, tmp_path: Path) -> None:
         corrupt_dataset(data, tmp_path / "out", "beam_missing")
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_killed_run_resumes_to_the_same_bytes_and_leaves_no_worker(tmp_path: Path, workers: int) -> None:
     write_drive(tmp_path / "data" / "long", {**SETTINGS, "frames": 60}, ToySource().open)
     corrupt_dataset(tmp_path / "data", tmp_path / "whole", "beam_missing")
