@@ -44,8 +44,15 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_drive(tmp_path_factory.mktemp("data"), 4)
 
 
-@pytest.mark.parametrize("window", [1.0, 0.5])
-@pytest.mark.parametrize("bfloat16", [False, True])
+@pytest.mark.parametrize(
+    ("bfloat16", "window"),
+    [
+        (False, 1.0),
+        (True, 0.5),
+        pytest.param(False, 0.5, marks=pytest.mark.slow),
+        pytest.param(True, 1.0, marks=pytest.mark.slow),
+    ],
+)
 def test_no_step_waits_for_the_device(
     data: Path, tmp_path: Path, bfloat16: bool, window: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
