@@ -67,7 +67,10 @@ def spread_of(values: Sequence[float]) -> tuple[float, float]:
 
 def power_table(path: Path = PAIRS) -> Table:
     """Table of differences, their spread between trainings, and the pairs that each effect needs."""
-    columns = [Column("gain", digits=1, scale=100.0), *(Column(t, digits=2, scale=100.0) for t in ("spread", "at most"))]
+    columns = [
+        Column("gain", digits=1, scale=100.0),
+        *(Column(t, digits=2, scale=100.0) for t in ("spread", "at most")),
+    ]
     columns += [Column(f"pairs for {100 * effect:g}", align="left") for effect in EFFECTS]
     rows = []
     for family, named in (("paper", "published"), ("physical", "physical")):
