@@ -4,7 +4,7 @@ import contextlib
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
-from typing import Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ from dsrc.review.static import StaticPart, static_parts
 from sensors.corruptions import CLEAN, CORRUPTIONS, Condition
 from sensors.frame import Frame
 from sim.errors import DataError, UserError, complaint
+
+if TYPE_CHECKING:
+    # The closed loop takes a second to import.
+    from dsrc.review.sources.meeting import Meeting
 
 T = TypeVar("T")
 
@@ -208,6 +212,15 @@ class Recordings:
         """What the ego of an episode saw, believed and planned, in the review frame; None elsewhere."""
         moment = getattr(self.sources[state.drive], "moment", None)
         return None if moment is None else moment(state.frame).moved(-self.origin(state.drive))
+
+    def meeting(self, drive: int) -> "Meeting | None":
+        """Contact or nearest pass of an episode that has ended; None elsewhere."""
+        return getattr(self.sources[drive], "meeting", None)
+
+    def opening(self, drive: int) -> dict[str, Any]:
+        """Fields of the state in which a source opens: an episode before its meeting, with whom the ego meets."""
+        met = self.meeting(drive)
+        return {"frame": self.first_row(drive)} if met is None else {"frame": met.opens, "object_id": met.other_id}
 
     def timeline(self, drive: int) -> EpisodeTimeline | None:
         """Course of an episode; None elsewhere."""

@@ -6,7 +6,7 @@ driver brakes. The first of these that came after the last chance is the cause.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import msgspec
 import numpy as np
@@ -97,16 +97,43 @@ def cause_of(log: EpisodeLog, in_sight: InSight) -> Cause | None:
     return _late(log, in_sight, contact.other_id, who)
 
 
-def _late(log: EpisodeLog, in_sight: InSight, other_id: int, who: str) -> Cause:
-    """Return what came after the last chance."""
+class FirstSteps(NamedTuple):
+    """First steps of an episode at which something holds of a road user; None for never.
+
+    Attributes:
+        sight: a LiDAR of the perception sees it.
+        seen: a percept with a box of it has arrived.
+        tracked: it has a confirmed track.
+        braked: the driver brakes fully, from its track on and before the last step.
+    """
+
+    sight: int | None
+    seen: int | None
+    tracked: int | None
+    braked: int | None
+
+
+def first_steps(log: EpisodeLog, in_sight: InSight, other_id: int) -> FirstSteps:
+    """Return the first steps of sight, percept, track and full braking for a road user.
+
+    Args:
+        in_sight: as of `cause_of`.
+    """
     last, ticks = len(log) - 1, log.ticks
-    chance = last_chance(log)
     seen, tracked = _first_seen(log, other_id), _first(log, lambda tick: _tracks(tick, other_id))
     sight = _first_sight(log, in_sight, other_id, last if seen is None else seen)
     braked = None
     if tracked is not None:
         full = [FULL * tick.ego.limits.deceleration_mps2 for tick in ticks]
         braked = next((k for k in range(tracked, last) if -ticks[k].decision.acceleration_mps2 >= full[k]), None)
+    return FirstSteps(sight, seen, tracked, braked)
+
+
+def _late(log: EpisodeLog, in_sight: InSight, other_id: int, who: str) -> Cause:
+    """Return what came after the last chance."""
+    last, ticks = len(log) - 1, log.ticks
+    chance = last_chance(log)
+    sight, seen, tracked, braked = first_steps(log, in_sight, other_id)
 
     def before(step: int | None) -> float | None:
         if step is None:

@@ -8,7 +8,7 @@ import msgspec
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec
-from dsrc.closed_loop.causes.cause import Cause, cause_of
+from dsrc.closed_loop.causes.cause import Cause, InSight, cause_of
 from dsrc.closed_loop.causes.eyes import Eyes
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.error_model.model import read_model
@@ -31,17 +31,24 @@ def crash_cause(log: EpisodeLog, cooperative: bool | None = None) -> Cause | Non
     """
     if log.outcome is not Outcome.CRASHED:
         return None
-    settings = log.settings
-    if cooperative is None:
-        cooperative = _helped(parse_perception(settings.perception).kind)
-    eyes: list[Eyes] = []  # a world is built where a line of sight is asked for
+    return cause_of(log, sight_of(log, cooperative))
+
+
+def sight_of(log: EpisodeLog, cooperative: bool | None = None) -> InSight:
+    """Return the lines of sight of an episode's perception; its world is built where one is first asked for.
+
+    Args:
+        cooperative: as of `crash_cause`.
+    """
+    uses = _helped(parse_perception(log.settings.perception).kind) if cooperative is None else cooperative
+    eyes: list[Eyes] = []
 
     def in_sight(now: Actors, object_id: int) -> bool:
         if not eyes:
-            eyes.append(Eyes(log, cooperative))
+            eyes.append(Eyes(log, uses))
         return eyes[0].see(now, object_id)
 
-    return cause_of(log, in_sight)
+    return in_sight
 
 
 def crash_causes(

@@ -199,7 +199,8 @@ def _of_episodes(model: Judgements, state: ReviewState) -> Overview:
             continue
         hit = line.contact_row
         hard = float(-line.wanted_mps2.min()) if hit is None else line.closing_mps
-        at = replace(here, drive=drive, frame=int(np.argmin(line.wanted_mps2)) if hit is None else hit)
+        row = int(np.argmin(line.wanted_mps2)) if hit is None else hit
+        at = replace(here, drive=drive, **model.opening(drive) | {"frame": row})
         cells.setdefault((getattr(source, "fault", ""), line.outcome), []).append((hard, at))
     outcomes = sorted({outcome for _, outcome in cells}, key=lambda name: (name != "crashed", name))
 

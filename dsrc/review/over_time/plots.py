@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from dsrc.review.palette import Rgb, css
 
-_WIDTH, _HEIGHT, _HEAD, _EDGE = 320.0, 30.0, 16.0, 6.0
+_WIDTH, _HEIGHT, _HEAD, _EDGE = 280.0, 30.0, 17.0, 6.0
 """Of the picture, of a strip and of the line above it, and the margin at both sides, px."""
-_LETTER = 5.2
+_LETTER = 5.6
 """Width of a letter of the marks' names, px."""
 _TEXT, _FAINT = "#dbe3ee", "#8b98ab"
 
@@ -95,7 +95,7 @@ def plots_svg(
     height = bottom + 11.0 * lines + 14.0
     parts.append(_text(_EDGE, height - 3.0, edges[0], _FAINT, "start"))
     parts.append(_text(_WIDTH - _EDGE, height - 3.0, edges[1], _FAINT, "end"))
-    style = "background:#12161f;border-radius:4px;cursor:crosshair;display:block;font:10px system-ui,sans-serif"
+    style = "background:#12161f;border-radius:4px;cursor:crosshair;display:block;font:10.5px system-ui,sans-serif"
     goes = f'data-ends="{ends[0]},{ends[1]},{_EDGE / _WIDTH:.5f}"'
     return f'<svg {goes} viewBox="0 0 {_WIDTH:g} {height:g}" width="100%" style="{style}">{"".join(parts)}</svg>'
 

@@ -1,5 +1,7 @@
 """Plots over time: of a selected object, and of an episode."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,24 +10,55 @@ from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.errors.judgements import Judgements
 from dsrc.review.over_time.plots import Line, Strip, plots_svg
 from dsrc.review.sources.history import Seen
+from dsrc.review.sources.moment import EpisodeTimeline
 from dsrc.review.state import ReviewState
 from dsrc.review.view import FrameView
+
+if TYPE_CHECKING:
+    # The closed loop takes a second to import.
+    from dsrc.review.sources.meeting import Meeting
 
 _NAMED = 4
 """Agents up to which plots say whose number is whose; the legend has their colours."""
 
 
 def over_time(model: Judgements, state: ReviewState, view: FrameView) -> str:
-    """SVG of the plots of the selected object, "" without one."""
-    last, object_id = model.frame_count(state.drive) - 1, getattr(view.details, "object_id", None)
-    if object_id is None or last < 1:
+    """SVG of the plots of an episode and of the selected object, "" where there is nothing to plot."""
+    first, last, line = model.first_row(state.drive), model.frame_count(state.drive) - 1, model.timeline(state.drive)
+    if last < 1:
         return ""
-    seen = model.histories[state.drive].of(object_id, view.ego.agent_id)
-    method = model.method(state)
-    run = model.run(state.drive, method, model.setup(state)) if method and view.labelled else None
-    strips = object_strips(seen, run, object_id, state, view)
-    ends = model.first_row(state.drive), last
-    return plots_svg(strips, ends, state.frame, {}, (f"frame {ends[0]}", f"{ends[1]}"))
+    strips: list[Strip] = []
+    marks: dict[str, int] = {}
+    edges = f"frame {first}", f"{last}"
+    if line is not None:
+        met = model.meeting(state.drive)
+        strips, marks = episode_strips(line, met), {} if met is None else met.marks
+        edges = f"{line.time_s[0]:.1f} s", f"{line.time_s[-1]:.1f} s"
+    if (object_id := getattr(view.details, "object_id", None)) is not None:
+        seen = model.histories[state.drive].of(object_id, view.ego.agent_id)
+        method = model.method(state)
+        run = model.run(state.drive, method, model.setup(state)) if method and view.labelled else None
+        strips += object_strips(seen, run, object_id, state, view)
+    return plots_svg(strips, (first, last), state.frame, marks, edges)
+
+
+def episode_strips(line: EpisodeTimeline, met: "Meeting | None") -> list[Strip]:
+    """Speed, acceleration, and gap and time to collision with whom the ego meets, step by step."""
+    rows = np.arange(len(line.time_s))
+    blue, amber = palette.AGENT_COLORS[0], palette.FN
+    strips = [
+        Strip("speed, m/s", [Line("", blue, rows, line.speed_mps)]),
+        Strip(
+            "m/s²",
+            [Line("wanted", amber, rows, line.wanted_mps2), Line("acceleration", blue, rows, line.acceleration_mps2)],
+        ),
+    ]
+    if met is not None:
+        strips += [
+            Strip("gap, m", [Line("", palette.TRUTH, rows, met.gap_m)]),
+            Strip("time to collision, s", [Line("", palette.TRUTH, rows, met.ttc_s)]),
+        ]
+    return strips
 
 
 def object_strips(

@@ -208,7 +208,8 @@ def first_state(model: ReviewModel, options: ServeOptions) -> ReviewState:
         except UserError as error:
             first = first or error
         else:
-            return state if drive == 0 else replace(state, drive=drive, frame=0)
+            asked = drive == 0 and options.frame > 0
+            return state if asked else replace(state, drive=drive, **model.opening(drive))
     raise first or SettingsError(complaint("view", "data", "a drive", "none"))
 
 

@@ -74,14 +74,22 @@ def birds_eye(view: FrameView, height_m: float = 110.0) -> CameraPose:
 
 
 def overview(view: FrameView) -> CameraPose:
-    """Pose of the start: high and to the side, with the cooperating agents in view, review frame."""
+    """Pose of the start: high and to the side, with the cooperating agents in view, review frame.
+
+    In an episode with whom the ego meets in view, if that is selected.
+    """
     place, _, forward = _heading(view)
-    agents = np.array([agent.review_from_body[:3, 3] for agent in view.agents])
-    near = agents[np.linalg.norm((agents - place)[:, :2], axis=1) < 80.0]
-    middle = 0.5 * (place + near.mean(axis=0))
-    spread = float(np.clip(np.linalg.norm((near - middle)[:, :2], axis=1).max(initial=0.0), 22.0, 50.0))
+    meets = view.moment is not None and view.selected is not None
+    others = np.array([agent.review_from_body[:3, 3] for agent in view.agents])
+    others = np.stack([place, view.selected]) if meets else others  # type: ignore[list-item]
+    near = others[np.linalg.norm((others - place)[:, :2], axis=1) < 80.0]
+    middle = near.mean(axis=0) if meets else 0.5 * (place + near.mean(axis=0))
+    least = 15.0 if meets else 22.0
+    spread = float(np.clip(np.linalg.norm((near - middle)[:, :2], axis=1).max(initial=0.0), least, 50.0))
     left = np.array([-forward[1], forward[0], 0.0])
-    return CameraPose(middle + spread * (-1.5 * forward + 0.6 * left + 1.15 * UP), middle + 0.15 * spread * forward, UP)
+    ahead = -0.2 if meets else 0.15
+    away = spread * (-1.5 * forward + 0.6 * left + 1.15 * UP)
+    return CameraPose(middle + (1.2 if meets else 1.0) * away, middle + ahead * spread * forward, UP)
 
 
 def close_to(target: NDArray[np.float64], pose: CameraPose, distance_m: float = 24.0) -> CameraPose:

@@ -117,6 +117,17 @@ def fly_to_selection(page: Page) -> None:
     page.fly_to(selected)
 
 
+def go_to_step(page: Page, name: str) -> None:
+    """Go to the step of an episode at which something happens: the meeting, or a first step towards it."""
+    met = page.model.meeting(page.state.drive)
+    if met is None:
+        page.tell("No episode that has ended: nothing is met.")
+    elif (row := met.row if name == "contact" else met.steps.get(name)) is not None:
+        page.update(frame=row, object_id=met.other_id)
+    else:
+        page.tell(f"No {name} in this episode." if met.explained else f"The {name} is still looked for.")
+
+
 def _take_next(control: Control, page: Page) -> None:
     shown = Shown(page.model, page.state, page.view)
     if control.enabled(shown) and control.shown(shown):
@@ -137,6 +148,10 @@ COMMANDS: tuple[Command, ...] = (
     Command("Previous false detection", "P", partial(go_to_error, step=-1, listed="false"), shift=True),
     Command("Next listed error", "K", partial(go_to_error, step=1)),
     Command("Previous listed error", "K", partial(go_to_error, step=-1), shift=True),
+    *(
+        Command(f"Episode: {name}", key, partial(go_to_step, name=name))
+        for name, key in (("contact", "M"), ("first sight", "9"), ("first track", "8"), ("first full brake", "Z"))
+    ),
     Command("Clean or corrupted", "X", toggle_corruption),
     Command("Side by side, or one page", "Y", lambda page: page.side_by_side()),
     Command("Methods over each other", "O", lay_over),

@@ -40,7 +40,7 @@ def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) 
     """Query of a state and a camera pose; what is as ever, and so at the start of the page, is left out."""
     parts, start = [], model.start
     if state.drive != start.drive:
-        start = replace(start, frame=model.first_row(state.drive))
+        start = replace(start, **model.opening(state.drive))
     for name, control in _rows().items():
         value = getattr(state, control.field)
         if not value == _DEFAULTS[control.field] == getattr(start, control.field):
@@ -74,7 +74,7 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
     if "frame" not in parts and model.grows(state.drive):
         state = replace(state, frame=model.frame_count(state.drive) - 1)
     elif "frame" not in parts and state.drive != start.drive:
-        state = replace(state, frame=first)
+        state = replace(state, **model.opening(state.drive))
     state = replace(state, frame=max(state.frame, first))
     pose = None
     if VIEW in parts:

@@ -93,6 +93,9 @@ class Page(Protocol):
     def gallery(self, state: ReviewState) -> list[Picture]:
         """Pictures of the worst listed errors, as far as they are made."""
 
+    def why_crashed(self, drive: int) -> str:
+        """Cause of the crash of an episode, looked for in the background; "" without a crash."""
+
     def over_time(self, state: ReviewState, view: FrameView) -> str:
         """SVG of the plots over time of what is selected, as far as it is known; "" without any."""
 

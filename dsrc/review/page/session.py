@@ -31,7 +31,7 @@ from dsrc.review.state import Camera, ReviewState, with_changes
 from dsrc.review.static import StaticPart
 from dsrc.review.texts import quoted
 from dsrc.review.view import FrameView
-from dsrc.review.worker import JobProgress, Worker
+from dsrc.review.worker import JobProgress, Latest, Worker
 from sensors.corruptions import CLEAN
 from sim.errors import UserError
 
@@ -90,7 +90,12 @@ class Session:
         self.using_model, self.worker, self.notes = using_model, worker, model.notes
         self._reports, self._overviews, self._gallery = Reports(model), Overviews(model), Gallery(model)
         # A link that says what is selected and not from where it is seen looks at it.
-        self._looks = pose is None and (state.object_id is not None or state.detection is not None)
+        self._explaining = Latest(0.0)
+        self._looks = (
+            pose is None
+            and model.meeting(state.drive) is None
+            and (state.object_id is not None or state.detection is not None)
+        )
         self.pair: CellPair | None = None
         self._refresh_at, self._busy = 0.0, False
         self._seen_frames = model.frame_count(state.drive)
@@ -146,6 +151,7 @@ class Session:
                 self.camera.place(state.camera)
             if state.drive != self.state.drive:
                 self._seen_frames = self.model.frame_count(state.drive)
+                state = replace(state, **(self.model.opening(state.drive) | changes))  # type: ignore[arg-type]
             self.state = state
             self._draw_soon()
 
@@ -199,6 +205,17 @@ class Session:
             made, whole = self._gallery.of(state, report)
         self._busy |= not whole
         return list(made)
+
+    def why_crashed(self, drive: int) -> str:
+        """Cause of the crash of an episode, looked for in the background; "" without a crash."""
+        met, log = self.model.meeting(drive), getattr(self.model.sources[drive], "log", None)
+        if met is None or log is None:
+            return ""
+        if not met.explained:
+            self._busy = True
+            if not self._explaining.running:
+                self._explaining.submit(lambda: met.explain(log))
+        return met.why if met.explained else "Looking for the cause …"
 
     def over_time(self, state: ReviewState, view: FrameView) -> str:
         """SVG of the plots over time of what is selected, as far as it is known; "" without any."""

@@ -13,6 +13,7 @@ from dsrc.evaluation.detection_table import one_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
 from dsrc.review.sources.live import KEPT
+from dsrc.review.sources.meeting import Meeting, meeting_of
 from dsrc.review.sources.moment import RUNNING, EpisodeMoment, EpisodeTimeline, Links
 from sensors.corruptions import CLEAN
 from sensors.frame import AgentFrame, Frame, count_points
@@ -45,6 +46,8 @@ class EpisodeSource:
         sets: `PERCEPTS` and `TRACKS`.
         ended: whether no more steps come.
         fault: corruption, channel and faults under which it was driven, as a table has them.
+        log: of an episode that has ended; None before that.
+        meeting: contact or nearest pass of the log; None without one.
     """
 
     kind: Kind = "episode"
@@ -61,6 +64,8 @@ class EpisodeSource:
         self._lidars: list[NDArray[np.float64]] = []
         self._sensed: dict[int, Frame] = {}
         self._ego_id, self._outcome, self._message = -1, RUNNING, ""
+        self.log: EpisodeLog | None = None
+        self.meeting: Meeting | None = None
 
     def put(self, tick: Tick, ego_id: int, sensed: Frame | None = None) -> None:
         """Add the next step.
@@ -150,6 +155,7 @@ class EpisodeSource:
             time_s=np.array([tick.ego.time_s for tick in ticks]),
             speed_mps=np.array([tick.ego.speed_mps for tick in ticks]),
             wanted_mps2=np.array([tick.decision.acceleration_mps2 for tick in ticks]),
+            acceleration_mps2=np.array([tick.ego.acceleration_mps2 for tick in ticks]),
             contact_row=next((row for row, tick in enumerate(ticks) if tick.contact is not None), None),
             closing_mps=next((tick.contact.closing_mps for tick in ticks if tick.contact is not None), 0.0),
             outcome=self._outcome,
@@ -187,6 +193,7 @@ def episode_source(log: EpisodeLog) -> EpisodeSource:
     for tick in log.ticks:
         source.put(tick, settings.ego_id)
     source.end(str(log.outcome), log.message)
+    source.log, source.meeting = log, meeting_of(log)
     return source
 
 

@@ -83,6 +83,7 @@ class EpisodeTimeline:
         time_s: (T,) float64.
         speed_mps: (T,) float64 of the ego.
         wanted_mps2: (T,) float64 acceleration that the driver wants.
+        acceleration_mps2: (T,) float64 that the ego has.
         contact_row: step of the first contact, None without one.
         outcome: how it ended, or `RUNNING`.
         message: explanation of a failed perception, or "".
@@ -92,6 +93,7 @@ class EpisodeTimeline:
     time_s: NDArray[np.float64]
     speed_mps: NDArray[np.float64]
     wanted_mps2: NDArray[np.float64]
+    acceleration_mps2: NDArray[np.float64]
     contact_row: int | None
     outcome: str
     message: str

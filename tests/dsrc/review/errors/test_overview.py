@@ -149,7 +149,8 @@ def test_a_campaign_is_shown_as_outcomes_by_fault() -> None:
             return 3
 
     def episode(name: str, fault: str, outcome: str, contact: int | None, speed: float, brake: float) -> Driven:
-        line = EpisodeTimeline(np.arange(3.0), np.zeros(3), np.array([0.0, -brake, 0.0]), contact, outcome, "", speed)
+        wanted = np.array([0.0, -brake, 0.0])
+        line = EpisodeTimeline(np.arange(3.0), np.zeros(3), wanted, wanted, contact, outcome, "", speed)
         shared = {"kind": "episode", "labelled": True, "sets": {}, "protocol": {}, "seed": 0}
         return Driven(name=name, fault=fault, timeline=lambda: line, **shared)
 

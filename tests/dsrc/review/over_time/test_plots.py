@@ -22,7 +22,7 @@ def paths(svg: str) -> list[str]:
 def test_a_line_goes_from_edge_to_edge_and_its_largest_value_is_at_the_top() -> None:
     (path,) = paths(drawn(Strip("speed, m/s", [Line("", (1, 2, 3), ROWS, ROWS.astype(float))])))
     x, y = np.array([[float(number) for number in pair.split()] for pair in re.findall(r"[\d.]+ [\d.]+", path)]).T
-    assert (x[0], x[-1]) == (6.0, 314.0) and (np.diff(x) > 0).all() and (np.diff(y) < 0).all()
+    assert (x[0], x[-1]) == (6.0, 274.0) and (np.diff(x) > 0).all() and (np.diff(y) < 0).all()
     assert y[0] - y[-1] == pytest.approx(30.0)
 
 
@@ -42,8 +42,8 @@ def test_the_present_value_is_that_of_the_nearest_frame_before() -> None:
 
 def test_a_level_is_drawn_at_its_value() -> None:
     svg = drawn(Strip("score", [Line("", (1, 2, 3), ROWS, np.full(11, 0.2))], level=0.3, high=1.0))
-    (level,) = re.findall(r'M6.0 ([\d.]+)H314.0" stroke="#8b98ab" stroke-dasharray="5 3"', svg)
-    assert float(level) == pytest.approx(16.0 + 0.7 * 30.0) and "at least 0.3" in svg
+    (level,) = re.findall(r'M6.0 ([\d.]+)H274.0" stroke="#8b98ab" stroke-dasharray="5 3"', svg)
+    assert float(level) == pytest.approx(17.0 + 0.7 * 30.0) and "at least 0.3" in svg
 
 
 def test_marks_that_would_cover_each_other_stand_below_each_other() -> None:
@@ -62,4 +62,4 @@ def test_nothing_known_draws_nothing_and_names_are_no_html() -> None:
 
 def test_a_click_finds_the_frames_at_the_edges() -> None:
     svg = plots_svg([Strip("gap", [Line("", (1, 2, 3), ROWS, np.ones(11))])], (3, 9), 4, {}, ("", ""))
-    assert 'data-ends="3,9,0.01875"' in svg
+    assert 'data-ends="3,9,0.02143"' in svg

@@ -5,8 +5,10 @@ import pytest
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
+from dsrc.review.page.commands import COMMANDS
 from dsrc.review.page.panels.drawn import ReportPanel
 from dsrc.review.page.panels.episode import EpisodePanel
+from dsrc.review.page.panels.over_time import OverTimePanel
 from dsrc.review.page.session import Session
 from dsrc.review.sources.episodes import episode_source
 from tests.dsrc.closed_loop.test_log import full_log
@@ -70,8 +72,6 @@ def test_the_panel_says_why_the_driver_brakes_and_how_it_ends(session: Session) 
         reason = log.ticks[row].decision.reason
         wait_for(lambda reason=reason: reason in episode.text.content)
         assert f"outcome: {log.outcome}" in episode.text.content
-        now = episode.plot.data[3]
-        assert np.flatnonzero(~np.isnan(now)).tolist() == [row]
     assert episode.folder.visible
 
 
@@ -99,10 +99,22 @@ def test_missing_detections_are_explained(session: Session) -> None:
     wait_for(lambda: report.notice.visible and report.notice.content == view.notice)
 
 
-def test_the_axis_of_time_is_that_of_the_episode(session: Session) -> None:
-    episode = panel(session, EpisodePanel)
-    log = full_log()
+def test_the_course_is_plotted_from_the_first_second_to_the_last(session: Session) -> None:
+    course, log = panel(session, OverTimePanel), full_log()
     session.wait_drawn()
-    wait_for(lambda: episode.plot is not None)
-    times = [tick.ego.time_s for tick in log.ticks]
-    assert episode.plot.scales["x"]["range"] == (times[0], max(times[-1], times[0] + 0.1))
+    for time_s in (log.ticks[0].ego.time_s, log.ticks[-1].ego.time_s):
+        wait_for(lambda time_s=time_s: f">{time_s:.1f} s<" in course.plots.content)
+
+
+def test_an_episode_opens_before_its_contact_and_a_key_goes_there(session: Session) -> None:
+    run = {command.label: command.run for command in COMMANDS}
+    met = session.model.meeting(0)
+    assert met is not None
+    session.update(frame=0)
+    run["Episode: contact"](session)
+    assert (session.state.frame, session.state.object_id) == (met.row, met.other_id)
+    wait_for(lambda: met.explained)
+    run["Episode: first sight"](session)
+    told = panel(session, EpisodePanel)
+    wait_for(lambda: "the cause is unknown" in told.text.content)
+    assert "No first sight in this episode" in session._notice.content
