@@ -199,8 +199,8 @@ def _of_episodes(model: Judgements, state: ReviewState) -> Overview:
             continue
         hit = line.contact_row
         hard = float(-line.wanted_mps2.min()) if hit is None else line.closing_mps
-        row = int(np.argmin(line.wanted_mps2)) if hit is None else hit
-        at = replace(here, drive=drive, **model.opening(drive) | {"frame": row})
+        hardest = int(np.argmin(line.wanted_mps2)) if hit is None else hit
+        at = replace(here, drive=drive, **model.opening(drive) | {"frame": hardest})
         cells.setdefault((getattr(source, "fault", ""), line.outcome), []).append((hard, at))
     outcomes = sorted({outcome for _, outcome in cells}, key=lambda name: (name != "crashed", name))
 

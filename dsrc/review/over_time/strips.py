@@ -55,8 +55,8 @@ def episode_strips(line: EpisodeTimeline, met: "Meeting | None") -> list[Strip]:
     ]
     if met is not None:
         strips += [
-            Strip("gap, m", [Line("", palette.TRUTH, rows, met.gap_m)]),
-            Strip("time to collision, s", [Line("", palette.TRUTH, rows, met.ttc_s)]),
+            Strip("gap, m", [Line("", palette.OTHER, rows, met.gap_m)]),
+            Strip("time to collision, s", [Line("", palette.OTHER, rows, met.ttc_s)]),
         ]
     return strips
 
