@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-KEPT = 24
+KEPT = 6
 """Frames that are kept of each kind: 5 agents of 60,000 points take 15 MB."""
 _ROUTE_STEP = 20
 """Points of an ego's route between two places around which the world is drawn."""

@@ -239,6 +239,7 @@ def open_model(
     data: Path | None = None,
     engine: str = "auto",
     height: str = "recorded",
+    late: bool = False,
 ) -> ReviewModel:
     """Open what a path holds, see `open_sources`, and a detector.
 
@@ -247,6 +248,7 @@ def open_model(
         data: where the drives of results or of a training are now; None for where they were.
         engine: execution of the network, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
         height: ground under the clouds that the detector gets, see `dsrc.detectors.levelled`.
+        late: open the detector once it is asked, or by `dsrc.review.sources.opening.open_late`.
 
     Raises:
         DataError: the path holds nothing of these, or something in it is damaged or of other data.
@@ -254,7 +256,7 @@ def open_model(
     """
     root = Path(root)
     sources = open_sources(root, data, engine)
-    add_detectors(sources, [] if checkpoint is None else [str(checkpoint)], engine, height)
+    add_detectors(sources, [] if checkpoint is None else [str(checkpoint)], engine, height, late)
     # Notes lie beside what they are about; a split of DAIR-V2X-C is no folder.
     notes = NoteBook(root if root.is_dir() else root.with_name(f"{root.name}.notes.json"))
     return ReviewModel(sources, notes=notes)

@@ -21,6 +21,7 @@ from dsrc.review.page.scene import set_light, set_start_camera
 from dsrc.review.page.server import LOOPBACK, address, allowed_hosts, checked_port, link_of, start_server, stop_server
 from dsrc.review.page.session import Session
 from dsrc.review.sources.live import LiveSource
+from dsrc.review.sources.opening import open_late
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, load_bodies
 from dsrc.review.worker import Worker
@@ -250,7 +251,7 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
     """
     Condition.of(options.corruption, options.severity, options.family, options.corrupted_agents).checked()
     port, _ = checked_port(options.host, options.port), allowed_hosts(options.allow_origin)  # told before the work
-    model = open_model(options.data, options.checkpoint, options.drives, options.engine, options.height)
+    model = open_model(options.data, options.checkpoint, options.drives, options.engine, options.height, late=True)
     start = first_state(model, options)
     server = start_server(options.host, port, options.allow_origin)
     app = ReviewApp(model, server, start)
@@ -262,11 +263,16 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
     log.info("review page: %s", app.url)
     if announce is not None:
         announce(app.url)
+    try:
+        # While the browser loads the page: a mesh takes half a second to import, torch more.
+        load_bodies()
+        open_late(model.sources)
+    except UserError:
+        app.close()
+        raise
     if not block:
         return app
     try:
-        # While the browser loads the page: a mesh takes half a second to import.
-        load_bodies()
         app.wait()
     except KeyboardInterrupt:
         log.info("review page closed")

@@ -46,6 +46,12 @@ GROW_S = 0.1
 AHEAD = 4
 """Frames that are read ahead of a playing drive."""
 
+MOVING_POINTS = 70_000
+"""Most points of all agents of a frame while frames change, 0.63 MB: the rest is sent once the view rests."""
+
+REST_S = 0.3
+"""Time without another frame after which the view rests, s."""
+
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
 
@@ -102,6 +108,9 @@ class Session:
         self._world_of, self._placed = world_of, -1
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
+        # What the drawn points are of, and when the view rests where some of them are left out.
+        self._points_of: object = None
+        self._rest_at: float | None = None
         self._closed = False
         self._search: Callable[[GoesOn], None] | None = None
         self._playing = False
@@ -318,10 +327,15 @@ class Session:
             self.gui.add_markdown(f"{keys_table()}\n\nW A S D Q E and the arrows move the camera.")
             self.gui.add_button("Close").on_click(lambda _: self.toggle_help())
 
-    def wait_drawn(self, timeout_s: float = 30.0) -> FrameView:
-        """Wait until the newest state is drawn, or told why it cannot be, and return the last drawn frame."""
+    def wait_drawn(self, timeout_s: float = 30.0, rested: bool = True) -> FrameView:
+        """Wait until the newest state is drawn, or told why it cannot be, and return the last drawn frame.
+
+        Args:
+            rested: with all of its points.
+        """
+        drawn = lambda: self._drawn == self._wanted and not (rested and self._rest_at is not None)  # noqa: E731
         with self._changed:
-            if not self._changed.wait_for(lambda: self._drawn == self._wanted or self._closed, timeout_s):
+            if not self._changed.wait_for(lambda: drawn() or self._closed, timeout_s):
                 raise TimeoutError("the page was not drawn in time")
         if self.view is None:
             raise TimeoutError("the page was closed before it was drawn")
@@ -354,11 +368,13 @@ class Session:
                 if self.pair is not None:
                     self.pair.state_changed(self, state)
                 self._draw(state)
-                with self._changed:
-                    self._drawn = number
-                    self._changed.notify_all()
+            elif self._rest_at is not None and not self._playing and time.monotonic() >= self._rest_at:
+                self._draw(state)
             else:
                 self._refresh()
+            with self._changed:
+                self._drawn = number
+                self._changed.notify_all()
             self.address.write(lambda: write_link(self.model, self.state, self.camera.pose))
 
     def _refresh(self) -> None:
@@ -389,6 +405,7 @@ class Session:
                 now = time.monotonic()
                 due = [self._next_at] if self._playing else []
                 due += [self.address.due] if self.address.due is not None else []
+                due += [self._rest_at] if self._rest_at is not None and not self._playing else []
                 due += (
                     [self._refresh_at] if self._busy or self.detecting() or self.model.grows(self.state.drive) else []
                 )
@@ -409,33 +426,57 @@ class Session:
         """Draw a state, or tell why that cannot be: the next one is drawn all the same."""
         try:
             self.stage.set_theme(state.theme)
+            shown = self._moving(state)
             if self.view is None:
                 # The browser shows it while the rest is computed and sent.
                 with self.using_model:
-                    sketch = self.model.sketch(state)
+                    sketch = self.model.sketch(shown)
                 self.stage.draw(sketch, state.drive, lambda: self.camera.follow(sketch, state))
+                if self.model.computes(state):
+                    self._place_world(state.drive)
             with self.using_model:
-                view = self.model.view(state)
+                view = self.model.view(shown)
                 self._interval_s = self.model.interval_s(state.drive)
             self.stage.draw(view, state.drive, lambda: self.camera.follow(view, state))
             self.view = view
+            thin = (one for one in view.agents if len(one.points) < min(one.total, state.max_points) and one.visible)
+            self._rest_at = time.monotonic() + REST_S if any(thin) else None
             if self._looks and view.selected is not None:
                 self.fly_to(view.selected)
             self._looks = False
             if self._failed or self._told_of != (state.drive, state.frame):
                 self.tell("")
-            if self._placed != state.drive:
-                # After the first frame: rebuilding a city takes longer than drawing.
-                self._placed = state.drive
-                parts, note = self._world_of(state.drive)
-                self.stage.place_world(parts)
-                if note:
-                    self.tell(note)
+            # After the first points: rebuilding a city takes longer than drawing.
+            self._place_world(state.drive)
             self._read_ahead(state)
         except Exception as error:
+            self._rest_at = None
             self._tell_error(f"frame {state.frame} of {self.model.names[state.drive]}", error)
         self.address.fall_behind()
         self._show_panels()
+
+    def _place_world(self, drive: int) -> None:
+        """Draw the static world of a drive once its first frame is drawn, or tell why it is not drawn."""
+        if self._placed == drive:
+            return
+        self._placed = drive
+        parts, note = self._world_of(drive)
+        self.stage.place_world(parts)
+        if note:
+            self.tell(note)
+
+    def _moving(self, state: ReviewState) -> ReviewState:
+        """State with fewer points where its frame is another one than the last, until the view rests."""
+        points_of = state.drive, state.frame, self.model.setup(state)
+        rested = self._rest_at is None or time.monotonic() >= self._rest_at
+        rests = points_of == self._points_of and rested and not self._playing
+        self._points_of = points_of
+        if rests:
+            return state
+        with self.using_model:
+            agents = self.model.stores[state.drive].recorded(state.frame).agents
+        seen = sum(agent.agent_id not in state.hidden for agent in agents)
+        return replace(state, max_points=min(state.max_points, MOVING_POINTS // max(seen, 1)))
 
     def _read_ahead(self, state: ReviewState) -> None:
         """Let the worker read the frames that come next; it corrupts them while the drive is playing."""

@@ -1,14 +1,17 @@
 """Opening of sources: what a path holds, told at once where it is wrong."""
 
+import threading
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from dsrc.data.drives import open_drives
-from dsrc.data.sample import SampleDetector
+from dsrc.data.sample import DetectorSettings, Sample, SampleDetector
 from dsrc.evaluation.config import named
 from dsrc.evaluation.sharing.stored import FILE as SHARES
 from dsrc.evaluation.stored import FILE, has_index
+from dsrc.ops.detections import Detections
 from dsrc.review.sources.base import DriveSource, Source
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.sources.results import open_results, open_shares
@@ -77,8 +80,49 @@ def _is_log(path: Path) -> bool:
         return False
 
 
+class LateDetector:
+    """Detector that is opened once it is asked: a page shows world and points before torch is imported.
+
+    Args:
+        opened: function that opens it; what it raises is raised by whoever asks.
+    """
+
+    def __init__(self, opened: Callable[[], SampleDetector]) -> None:
+        self._opened = opened
+        self._detector: SampleDetector | None = None
+        self._opening = threading.Lock()
+
+    def open(self) -> SampleDetector:
+        """Return the detector, opened now where it was not."""
+        with self._opening:
+            if self._detector is None:
+                self._detector = self._opened()
+            return self._detector
+
+    @property
+    def settings(self) -> DetectorSettings:
+        """Settings of the detector."""
+        return self.open().settings
+
+    def detect(self, sample: Sample) -> Detections:
+        """Return detections in the sample's frame."""
+        return self.open().detect(sample)
+
+
+def open_late(sources: Sequence[Source]) -> None:
+    """Open the detectors that wait for it; raises as `add_detectors`."""
+    sets = [one for source in sources for one in source.sets.values() if isinstance(one, ComputedSet)]
+    for detector in [one.detector for one in sets]:
+        if isinstance(detector, LateDetector):
+            detector.open()
+
+
 def add_detectors(
-    sources: Sequence[Source], checkpoints: Sequence[str], engine: str = "auto", height: str = "recorded"
+    sources: Sequence[Source],
+    checkpoints: Sequence[str],
+    engine: str = "auto",
+    height: str = "recorded",
+    late: bool = False,
 ) -> None:
     """Add a computed set for each detector to each source.
 
@@ -86,6 +130,7 @@ def add_detectors(
         checkpoints: detectors, DETECTOR or NAME=DETECTOR, see `dsrc.detectors.open`.
         engine: execution of the networks of files, `auto` or a key of `dsrc.models.storage.deploy.ENGINES`.
         height: ground under the clouds that they get, see `dsrc.detectors.levelled`.
+        late: open them once they are asked, or by `open_late`.
 
     Raises:
         UserError: a detector does not open.
@@ -93,13 +138,19 @@ def add_detectors(
     """
     if not checkpoints:
         return
-    # Torch takes seconds to import; ground truth alone does without.
-    from dsrc.detectors.open import open_detector
-
-    detectors: dict[str, SampleDetector] = {}
+    detectors: dict[str, LateDetector] = {}
     for name, text in named(checkpoints):
         if name in detectors or any(name in source.sets for source in sources):
             raise SettingsError(complaint("view", "checkpoint", "names that differ", name, "; give names: name=path"))
-        detectors[name] = open_detector(text, engine=engine, use={"height": height})
+        detectors[name] = LateDetector(partial(_opened, text, engine, height))
     for source in sources:
         source.sets.update({name: ComputedSet(name, detector) for name, detector in detectors.items()})
+    if not late:
+        open_late(sources)
+
+
+def _opened(text: str, engine: str, height: str) -> SampleDetector:
+    # Torch takes seconds to import; ground truth alone does without.
+    from dsrc.detectors.open import open_detector
+
+    return open_detector(text, engine=engine, use={"height": height})

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import dsrc.review.page.session as session_module
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS
@@ -371,3 +372,17 @@ def test_points_before_and_after_a_corruption_are_told_apart(
     rows = session.wait_drawn().details.visibility
     assert all(row.points_left == pytest.approx(row.points / 2, abs=1) for row in rows)
     wait_for(lambda: f"{rows[0].points} → {rows[0].points_left}" in panel(session, SelectionPanel).card.content)
+
+
+def test_while_frames_change_fewer_points_are_sent_and_all_of_them_once_the_view_rests(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session_module, "MOVING_POINTS", 300)
+    session.update(frame=1)
+    moving = session.wait_drawn(rested=False)
+    assert 0 < sum(len(agent.points) for agent in moving.agents) <= 300
+    rested = session.wait_drawn()
+    assert rested.index == moving.index == 1
+    assert all(len(agent.points) == agent.total for agent in rested.agents)
+    session.update(threshold=0.9)
+    assert all(len(agent.points) == agent.total for agent in session.wait_drawn(rested=False).agents)
