@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.loop import shown
+from dsrc.closed_loop.driving.checked import CheckedDriver
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.seen_space import LOW_M, SeenSpace, View
@@ -153,7 +153,9 @@ def test_who_does_not_look_pays_nothing_and_the_episode_keeps_no_sweep() -> None
     percept: Percept = replace(TruthPercept(), seen=SeenSpace([make]))
     looks = SimpleNamespace(see=lambda seen: seen.sees(NEAR))
     for driver, count in ((SimpleNamespace(), 0), (looks, 1)):
-        kept = shown(driver, percept)  # type: ignore[arg-type]
+        wheel = CheckedDriver(driver, 60.0)  # type: ignore[arg-type]
+        kept = wheel.shown(percept)
+        assert not wheel.failure
         assert kept is not None and kept.seen is None and len(made) == count
 
 
