@@ -20,9 +20,9 @@ demo: $(READY)
 test: $(READY)
 	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile -m '$(QUICK)'
 
-# Tests that need optional packages: ONNX, Ray, MCAP, stable-baselines3, those that write the files of others.
+# Tests that need optional packages: ONNX, Ray, MCAP, stable-baselines3, optuna, those that write the files of others.
 test-extras: $(READY)
-	$(INSTALL) --editable '.[dev,onnx,ray,argoverse,ros,mcap,rl,osi,foreign]'
+	$(INSTALL) --editable '.[dev,onnx,ray,argoverse,ros,mcap,rl,osi,foreign,search]'
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m 'extra and not slow and not browser' \
 	    $$(grep -rl --include 'test_*.py' importorskip tests)
 

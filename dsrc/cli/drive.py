@@ -1,4 +1,4 @@
-"""Command `dsrc drive`: closed-loop episodes, campaigns of them, and another look at one."""
+"""Commands `dsrc drive` and `search`: closed-loop episodes, campaigns of them, another look at one, what crashes."""
 
 import sys
 from pathlib import Path
@@ -11,6 +11,7 @@ from dsrc.cli.progress import log_lines, made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import File, Folder, Output
+from dsrc.options.search import SearchOptions
 from dsrc.runs.executors import Pool
 
 
@@ -251,6 +252,43 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         if self.out is not None:
             path = again.save(self.out / "again.npz")
             made(path, "the log of the second look", "view", path)
+
+
+class Search(SearchOptions, frozen=True, kw_only=True):
+    """Search for the smallest faults and the parameters that crash the ego.
+
+    Each distinct failure has its cause, its log, its smallest fault, and the share of its neighbourhood that crashes
+    too. An interrupted search resumes.
+
+    Examples:
+        dsrc search lta_truck --fault "brake_gain:0.2..1 from 0..6 s for 0.5..6 s" --out runs/search
+        dsrc search lta_truck --perception team --fast team.json --parameter conflict_mps --seed 0 1 2 --out runs/search
+
+    Attributes:
+        out: folder of the report, the failures and the logs of all episodes.
+    """
+
+    out: Folder
+    pool: Pool = Pool()
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Search, write the report and print its tables."""
+        from rich.console import Console
+
+        from dsrc.closed_loop.falsification.report import failure_table, optimizer_table, write_search
+        from dsrc.closed_loop.falsification.run import search_failures
+
+        with progress(f"search {' '.join(self.scenario)}") as report:
+            found = search_failures(self, self.out, pool=self.pool, progress=report)
+        console = Console(highlight=False)
+        console.print(optimizer_table(found))
+        if found.failures:
+            console.print(failure_table(found))
+        else:
+            sys.stdout.write("no failure found\n")
+        places = write_search(found, self.out)
+        made(places, "report, failures and logs of episodes", "view", self.out, new=found.made > 0)
 
 
 def _duration(seconds: float) -> str:

@@ -45,6 +45,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
     "realism": "dataset.Realism",
     "view": "view.View",
     "drive": "drive.Drive",
+    "search": "drive.Search",
     "demo": "demo.Demo",
     "completion": "main.Completion",
 }

@@ -5,8 +5,8 @@
     fog:3 on 1003 + loss:0.3 from 2 s + delay:0.2
 
 Faults of one line, between plus signs, are there at once. A kind is followed by its numbers, the first without a name:
-`misalignment:2,up_cm=10`. Times are seconds of the episode: from the first until before the second. Without times a
-fault is there all the time, without agents it acts on all whom its kind can act on.
+`misalignment:2,up_cm=10`. Times are seconds of the episode: from the first until before the second, or `for` so many
+in place of `to`. Without times a fault is there all the time, without agents it acts on all whom its kind can act on.
 """
 
 import itertools
@@ -23,9 +23,9 @@ from sensors.corruptions import FAMILIES, Condition, CorruptedAgents, parse_agen
 from sim.errors import SettingsError, complaint, did_you_mean
 
 _TIME = re.compile(r"(?P<number>[0-9.eE+-]+)\s*s?")
-_WORDS = re.compile(r"\s+(from|to|on)\s+")
+_WORDS = re.compile(r"\s+(from|to|for|on)\s+")
 _TIGHT_PLUS = re.compile(r"\w\+ *[a-z]|\w *\+[a-z]")
-_LAST_WORD = re.compile(r"\s(from|to|on)$")
+_LAST_WORD = re.compile(r"\s(from|to|for|on)$")
 _SLACK_S = 1e-6
 
 
@@ -193,13 +193,15 @@ def _parse_one(text: str, where: str) -> Fault:
         hint = did_you_mean(name, kind_names())
         raise SettingsError(complaint(where, field, "a kind of fault", name or "none", hint))
     given = dict(zip(rest[::2], rest[1::2], strict=True))
-    if len(given) < len(rest) // 2:
-        raise SettingsError(complaint(where, field, "from, to and on once each", text))
+    if len(given) < len(rest) // 2 or {"to", "for"} <= given.keys():
+        raise SettingsError(complaint(where, field, "from, to or for, and on once each", text))
     kind = KINDS.get(name, CORRUPTION)
     begin, end = (
         _seconds(given[word], word, where, field) if word in given else usual
         for word, usual in (("from", 0.0), ("to", inf))
     )
+    if "for" in given:
+        end = round(begin + _seconds(given["for"], "for", where, field), 9)
     if not begin < end:
         raise SettingsError(complaint(where, field, f"an end after {begin:g} s", f"{end:g} s"))
     agents = kind.agents

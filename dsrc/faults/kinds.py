@@ -22,10 +22,13 @@ class FaultSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         RANGES: least and largest value of each field; a field without a default must be given.
         ANY: at least one field must be given, whichever.
+        IDLE: value of each field with which the fault does nothing, 0 where it is not listed; None for a field that
+            says where or how, not how much.
     """
 
     RANGES: ClassVar[Ranges] = {}
     ANY: ClassVar[bool] = False
+    IDLE: ClassVar[dict[str, float | None]] = {}
 
 
 class Severity(FaultSettings, frozen=True):
@@ -64,6 +67,7 @@ class Rate(FaultSettings, frozen=True):
     """Largest rate of messages, Hz."""
 
     RANGES: ClassVar[Ranges] = {"hz": (0.01, inf)}
+    IDLE: ClassVar[dict[str, float | None]] = {"hz": inf}
     hz: float
 
 
@@ -71,6 +75,7 @@ class Reach(FaultSettings, frozen=True):
     """Largest distance at which messages arrive, m."""
 
     RANGES: ClassVar[Ranges] = {"metres": (0.1, inf)}
+    IDLE: ClassVar[dict[str, float | None]] = {"metres": inf}
     metres: float
 
 
@@ -78,6 +83,7 @@ class Age(FaultSettings, frozen=True):
     """Largest age at which a message is used, s."""
 
     RANGES: ClassVar[Ranges] = {"seconds": (0.01, inf)}
+    IDLE: ClassVar[dict[str, float | None]] = {"seconds": inf}
     seconds: float
 
 
@@ -89,6 +95,7 @@ class Blocked(FaultSettings, frozen=True):
     """Part of the field that is covered, degrees, about a direction counter-clockwise from ahead."""
 
     RANGES: ClassVar[Ranges] = {"width_deg": (0.0, 360.0), "middle_deg": (-360.0, 360.0)}
+    IDLE: ClassVar[dict[str, float | None]] = {"middle_deg": None}
     width_deg: float
     middle_deg: float = 0.0
 
@@ -97,6 +104,7 @@ class Dirt(FaultSettings, frozen=True):
     """Share of the field that spots of dirt cover in the end, and the time in which they grow from none, s."""
 
     RANGES: ClassVar[Ranges] = {"share": (0.0, 1.0), "growth_s": (0.0, inf)}
+    IDLE: ClassVar[dict[str, float | None]] = {"growth_s": inf}
     share: float
     growth_s: float = 5.0
 
@@ -145,6 +153,7 @@ class Gain(FaultSettings, frozen=True):
     """Factor."""
 
     RANGES: ClassVar[Ranges] = {"factor": (0.0, 10.0)}
+    IDLE: ClassVar[dict[str, float | None]] = {"factor": 1.0}
     factor: float
 
 
@@ -152,6 +161,7 @@ class Ghost(FaultSettings, frozen=True):
     """Share of the messages that tell of a standing car that is not there, so far ahead of the ego on its route, m."""
 
     RANGES: ClassVar[Ranges] = {"share": (0.0, 1.0), "ahead_m": (3.0, 150.0)}
+    IDLE: ClassVar[dict[str, float | None]] = {"ahead_m": None}
     share: float = 1.0
     ahead_m: float = 25.0
 

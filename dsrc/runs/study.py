@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 
 import msgspec
 
-from dsrc.runs.executors import Pool
+from dsrc.runs.executors import Executor, Pool
 from dsrc.runs.jobs import run_jobs
 from dsrc.runs.unit import Progress, Unit, key_of
 from sim.errors import DataError, complaint
@@ -63,7 +63,7 @@ class Study(Generic[J, R]):
         self,
         folder: Path,
         jobs: Mapping[str, J],
-        pool: Pool,
+        pool: Pool | Executor,
         progress: Progress | None = None,
         reuse: Iterable[Path] = (),
     ) -> int:

@@ -71,7 +71,7 @@ def test_it_is_there_from_its_begin_until_before_its_end() -> None:
         ("fog:3 from 9 s to 4 s", "expected an end after 9 s, found 4 s"),
         ("fog:3 from -1 s", "expected seconds >= 0 after 'from', found -1 s"),
         ("fog:3 from soon", "expected seconds >= 0 after 'from', found soon"),
-        ("fog:3 from 1 s from 2 s", "expected from, to and on once each"),
+        ("fog:3 from 1 s from 2 s", "expected from, to or for, and on once each"),
         ("fog:3 on moon", "expected all, ego, helpers or ids of agents, such as 1003,-1, after 'on', found moon"),
         ("loss:0.3 on ego", "expected helpers or their ids after 'on', found ego"),
         ("pose_error:3 on ego", "expected helpers, as it is an error relative to the ego, found ego"),
