@@ -16,7 +16,7 @@ class SearchOptions(msgspec.Struct, frozen=True):
     """Options of a search for faults that crash the ego.
 
     Attributes:
-        scenario: scenarios.
+        scenario: scenarios, at least one; default: none.
         perception: what the ego perceives, see dsrc drive.
         fast: perception that drives the search in its place, such as an error model (dsrc model fit) or truth; the
             perception then drives what comes closest to a crash, and tells what is one; default: none.
@@ -38,7 +38,7 @@ class SearchOptions(msgspec.Struct, frozen=True):
             each costs some 20 to 40 episodes.
     """
 
-    scenario: Positional[Annotated[tuple[str, ...], arg(metavar="SCENARIO [...]"), Meta(min_length=1)]]
+    scenario: Positional[Annotated[tuple[str, ...], arg(metavar="SCENARIO [...]")]] = ()
     perception: Annotated[str, choice(PERCEPTIONS)] = "truth"
     fast: Annotated[str | None, choice(PERCEPTIONS)] = None
     judge: Annotated[int, Meta(ge=1)] = 10

@@ -170,6 +170,8 @@ def search_failures(
 
 def _plan(options: SearchOptions, perception: str) -> Campaign:
     """Return the campaign whose episodes a search changes."""
+    if not options.scenario:
+        raise SettingsError(complaint(_WHERE, "scenario", "at least one", "none"))
     shared = ("checkpoint", "seed", "driver", "duration_s", "detect_every_s")
     given: dict[str, Any] = {name: getattr(options, name) for name in shared}
     if given["checkpoint"] is not None and perception != options.perception:
