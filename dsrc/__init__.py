@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dsrc.closed_loop.driving.open import open_driver
     from dsrc.closed_loop.environments import register_environments
     from dsrc.closed_loop.environments.driving import DrivingEnv
+    from dsrc.closed_loop.environments.parallel import parallel_env
     from dsrc.closed_loop.log import EpisodeLog
     from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
     from dsrc.closed_loop.metrics.episode import episode_metrics
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from dsrc.closed_loop.report.report import write_report
     from dsrc.closed_loop.report.terminal import summary_table
     from dsrc.closed_loop.seen_space import SeenSpace
+    from dsrc.closed_loop.team import TeamLoop
     from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
     from dsrc.data.clouds.corrupt import corrupt
     from dsrc.data.clouds.transform import CorruptTransform
@@ -69,6 +71,7 @@ _MODULES = {
     "dsrc.closed_loop.driving.open": ("open_driver",),
     "dsrc.closed_loop.environments": ("register_environments",),
     "dsrc.closed_loop.environments.driving": ("DrivingEnv",),
+    "dsrc.closed_loop.environments.parallel": ("parallel_env",),
     "dsrc.closed_loop.log": ("EpisodeLog",),
     "dsrc.closed_loop.loop": ("ClosedLoop", "LoopSettings"),
     "dsrc.closed_loop.metrics.episode": ("episode_metrics",),
@@ -77,6 +80,7 @@ _MODULES = {
     "dsrc.closed_loop.report.terminal": ("summary_table",),
     "dsrc.closed_loop.replay": ("replay",),
     "dsrc.closed_loop.seen_space": ("SeenSpace",),
+    "dsrc.closed_loop.team": ("TeamLoop",),
     "dsrc.closed_loop.types": ("Decision", "EgoState", "Outcome", "Percept", "Tracks"),
     "dsrc.data.clouds.corrupt": ("corrupt",),
     "dsrc.data.clouds.transform": ("CorruptTransform",),
@@ -166,6 +170,7 @@ __all__ = [
     "score_table",
     # closed loop and review
     "ClosedLoop",
+    "TeamLoop",
     "LoopSettings",
     "open_perception",
     "open_driver",
@@ -182,6 +187,7 @@ __all__ = [
     "summary_table",
     "write_report",
     "DrivingEnv",
+    "parallel_env",
     "register_environments",
     "export_html",
     "view",

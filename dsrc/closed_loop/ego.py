@@ -26,15 +26,36 @@ def choose_ego(traffic: DrivableTraffic, scenario: Scenario) -> int:
     actors = traffic.actors
     if scenario.agents.named:
         return _named(actors, scenario)
-    fit = np.isin(actors.boxes.label, [CLASSES.index("car"), CLASSES.index("van")]) & ~actors.parked()
     moving = np.linalg.norm(actors.velocity, axis=1) > 2.0
-    way_left = {
-        row: _way_left(traffic.route(int(actors.boxes.object_id[row]), 300.0), scenario) for row in np.flatnonzero(fit)
-    }
-    rows = [row for row, way in way_left.items() if way > 0.0]
+    way_left = _ways_left(traffic, scenario)
+    rows = list(way_left)
     if not rows:
         raise TrafficError(f"{scenario.name}: expected a car or van inside the area after the warm-up, found none")
     return int(actors.boxes.object_id[max(rows, key=lambda row: (moving[row], way_left[row]))])
+
+
+def choose_egos(traffic: DrivableTraffic, scenario: Scenario, count: int) -> tuple[int, ...]:
+    """Return several vehicles: the ego of `choose_ego`, then those that the scenario names, or else the nearest to it.
+
+    Of the nearest, cars and vans with a way left inside its area that move, and then those that stand, see
+    `choose_ego`.
+
+    Raises:
+        TrafficError: there are fewer.
+    """
+    actors, first = traffic.actors, choose_ego(traffic, scenario)
+    if scenario.agents.named:
+        known = dict(zip(actors.name, actors.boxes.object_id.tolist(), strict=True))
+        found = [known[name] for name in scenario.agents.named if name in known]
+    else:
+        away = np.linalg.norm(actors.boxes.center[:, :2] - actors.boxes.center[actors.row(first), :2], axis=1)
+        stands = np.linalg.norm(actors.velocity, axis=1) <= 2.0
+        rows = sorted(_ways_left(traffic, scenario), key=lambda row: (stands[row], away[row]))
+        found = [first, *(one for one in actors.boxes.object_id[rows].tolist() if one != first)]
+    if len(found) < count:
+        expected = f"{count} cars or vans to drive inside the area after the warm-up"
+        raise TrafficError(f"{scenario.name}: expected {expected}, found {len(found)}")
+    return tuple(found[:count])
 
 
 def ego_state(traffic: DrivableTraffic, ego_id: int, before: EgoState | None) -> EgoState:
@@ -87,6 +108,17 @@ def _named(actors: Actors, scenario: Scenario) -> int:
     if name not in actors.name:
         raise TrafficError(f"{scenario.name}: expected the ego '{name}' on the road at the start, found it nowhere")
     return int(actors.boxes.object_id[actors.name.index(name)])
+
+
+def _ways_left(traffic: DrivableTraffic, scenario: Scenario) -> dict[int, float]:
+    """Return the way left inside the area, m, of the cars and vans that have some, by their rows."""
+    actors = traffic.actors
+    fit = np.isin(actors.boxes.label, [CLASSES.index("car"), CLASSES.index("van")]) & ~actors.parked()
+    found = {
+        int(row): _way_left(traffic.route(int(actors.boxes.object_id[row]), 300.0), scenario)
+        for row in np.flatnonzero(fit)
+    }
+    return {row: way for row, way in found.items() if way > 0.0}
 
 
 def _way_left(path: NDArray[np.float64], scenario: Scenario) -> float:

@@ -208,9 +208,22 @@ class ClosedLoop:
             TrafficError: another simulation runs in this process, or no vehicle can be the ego.
         """
         self.close()
-        self.scenario = with_proven_encounter(self.base, seed)
-        self._traffic = traffic = open_standing(self.scenario, seed)
-        self.ego_id = choose_ego(traffic, self.scenario)
+        scenario = with_proven_encounter(self.base, seed)
+        self._traffic = traffic = open_standing(scenario, seed)
+        self.board(scenario, traffic, choose_ego(traffic, scenario), seed)
+        traffic.step()
+        return self.look()
+
+    def board(self, scenario: Scenario, traffic: DrivableTraffic, ego_id: int, seed: int) -> None:
+        """Begin an episode with a vehicle of traffic that the caller has opened and steps once before `look`.
+
+        Args:
+            scenario: of the traffic, with its proven encounter.
+
+        Raises:
+            UserError: a setting of the perception does not fit the scenario.
+        """
+        self.scenario, self._traffic, self.ego_id = scenario, traffic, ego_id
         self.ticks, self.outcome, self.message, self.seconds = [], None, "", {}
         self._tracker, self._stood_s, self._moved = Tracker(), 0.0, False
         self._own = EgoFaults(self._faults, seed, self.ego_id, traffic.step_s)
@@ -221,12 +234,13 @@ class ClosedLoop:
         with self._timed("reset"):
             self._clock.begin(self.scenario, self.ego_id, seed)
         self.seed, self._route_m = seed, traffic.goal_m(self.ego_id)
-        self._first = before = traffic.actors
-        speed = traffic.speed(self.ego_id)
-        traffic.command(self.ego_id, speed)
-        traffic.step()
-        self.start_s = traffic.actors.time_s
-        self._observe(before, ego_state(traffic, self.ego_id, None), None)
+        self._first = traffic.actors
+        traffic.command(self.ego_id, traffic.speed(self.ego_id))
+
+    def look(self) -> Tick:
+        """Perceive for the first time, one traffic step after `board`."""
+        self.start_s = self.traffic.actors.time_s
+        self._observe(self._first, ego_state(self.traffic, self.ego_id, None), None)
         return self.tick
 
     def advance(self, acceleration_mps2: float | None = None) -> Tick:
@@ -239,6 +253,11 @@ class ClosedLoop:
             ValueError: the acceleration is not finite.
             TrafficError: the episode has not begun or has ended.
         """
+        self.act(acceleration_mps2)
+        return self._move()
+
+    def act(self, acceleration_mps2: float | None = None) -> None:
+        """Command the ego for the next traffic step, see `advance`; `arrive` follows that step."""
         last = self._running()
         if acceleration_mps2 is not None:
             if not math.isfinite(acceleration_mps2):
@@ -248,7 +267,6 @@ class ClosedLoop:
         wanted = limits.bounded(last.decision.acceleration_mps2)
         made = limits.bounded(self._own.acted(wanted, last.actors.time_s - self.start_s))
         self.traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + made * self.traffic.step_s))
-        return self._move()
 
     def advance_to(self, pose: tuple[float, float, float], speed_mps: float) -> Tick:
         """Put the ego somewhere in the next traffic step, on a lane or off, then as `advance`.
@@ -277,10 +295,18 @@ class ClosedLoop:
         return self.tick
 
     def _move(self) -> Tick:
-        traffic, last = self.traffic, self.tick
-        before = traffic.actors
+        before = self.traffic.actors
         with self._timed("move"):
-            now = traffic.step()
+            self.traffic.step()
+        return self.arrive(before)
+
+    def arrive(self, before: Actors) -> Tick:
+        """Judge, perceive, track and decide after a traffic step.
+
+        Args:
+            before: actors before the step.
+        """
+        traffic, last, now = self.traffic, self.tick, self.traffic.actors
         if self.ego_id not in now.boxes.object_id:
             self.ticks.append(Tick(now, last.ego, None, last.tracks, Decision(0.0)))
             self.outcome = self._checked(Outcome.ARRIVED)

@@ -21,7 +21,7 @@ from dsrc.closed_loop.environments.viewer import CRASHED, EGO, TRACK, LoopViewer
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.seen_space import SeenSpace
-from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Perception, Tracks
+from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Perception, Tick, Tracks
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.scenario import Scenario
 
@@ -215,7 +215,7 @@ class DrivingEnv(AbstractEnv):
     def _reset(self) -> None:
         episode = int(self.np_random.integers(2**31)) if self._seed is None else self._seed
         self.config["simulation_frequency"] = self._steps * self.config["policy_frequency"]
-        tick = self.loop.start(episode)
+        tick = self._start(episode)
         self._since = 0
         network = network_of(self.loop.scenario, episode)
         at_junction = self.config["origin"] == "junction"
@@ -228,6 +228,9 @@ class DrivingEnv(AbstractEnv):
         ego.diagonal = math.hypot(ego.LENGTH, ego.WIDTH)
         self.vehicle = ego
         self._mirror()
+
+    def _start(self, episode: int) -> Tick:
+        return self.loop.start(episode)
 
     def _simulate(self, action: Any = None) -> None:
         if action is not None and not np.isfinite(action).all():
