@@ -106,10 +106,13 @@ class TeamEnv(ParallelEnv):
                 seats[agent].moved()
         results = {agent: seat.result(actions[agent]) for agent, seat in seats.items()}
         self.agents = [agent for agent in self.agents if seats[agent].loop.outcome is None]
-        observations, rewards, terminated, truncated, infos = (
-            {agent: result[part] for agent, result in results.items()} for part in range(5)
+        return (
+            {agent: result[0] for agent, result in results.items()},
+            {agent: result[1] for agent, result in results.items()},
+            {agent: result[2] for agent, result in results.items()},
+            {agent: result[3] for agent, result in results.items()},
+            {agent: result[4] for agent, result in results.items()},
         )
-        return observations, rewards, terminated, truncated, infos
 
     def close(self) -> None:
         """End the simulation."""
