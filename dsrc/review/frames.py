@@ -217,6 +217,12 @@ class Recordings:
         """Contact or nearest pass of an episode that has ended; None elsewhere."""
         return getattr(self.sources[drive], "meeting", None)
 
+    def twins(self, drive: int) -> list[int]:
+        """Other episodes of the same scenario and seed: with other eyes, faults or another driver."""
+        logs = [getattr(source, "log", None) for source in self.sources]
+        draws = [None if log is None else (log.settings.scenario.name, log.settings.seed) for log in logs]
+        return [row for row, draw in enumerate(draws) if draw is not None and draw == draws[drive] and row != drive]
+
     def opening(self, drive: int) -> dict[str, Any]:
         """Fields of the state in which a source opens: an episode before its meeting, with whom the ego meets."""
         met = self.meeting(drive)

@@ -53,6 +53,7 @@ class CellPair:
         # What a cell was given and has not drawn yet, and what the last user set in any cell.
         self._given: dict[int, deque[tuple[Any, ...]]] = {}
         self._newest: tuple[Any, ...] | None = None
+        self._shares = _SHARED
         self._lock = threading.Lock()
 
     def add(self, cell: Page) -> None:
@@ -61,8 +62,12 @@ class CellPair:
             others = list(self.cells)
             self.cells.append(cell)
             self._given[id(cell)] = deque(maxlen=_REMEMBERED)
-            if not others:
-                self._newest = _shared(cell.state)
+            before = others[0].state.drive if others else cell.state.drive
+            if before != cell.state.drive and cell.state.drive in cell.model.twins(before):
+                # One episode with other eyes or another driver in each cell: they run in step.
+                self._shares = tuple(name for name in _SHARED if name != "drive")
+            if not others or self._shares != _SHARED:
+                self._newest = self._shared((others or [cell])[0].state)
         for other in others[:1]:
             self._give(cell, other.state)
 
@@ -75,7 +80,7 @@ class CellPair:
     def state_changed(self, cell: Page, state: ReviewState) -> None:
         """Take a state of a cell to the others, unless it has it from them or they have it already."""
         with self._lock:
-            shared, given = _shared(state), self._given.get(id(cell))
+            shared, given = self._shared(state), self._given.get(id(cell))
             if given is None:
                 # It takes what the others have when it is added.
                 return
@@ -100,27 +105,29 @@ class CellPair:
         for other in others:
             other.look(pose)
 
+    def _shared(self, state: ReviewState) -> tuple[Any, ...]:
+        return tuple(getattr(state, name) for name in self._shares)
+
     def _give(self, cell: Page, state: ReviewState) -> None:
+        if "drive" not in self._shares:
+            # An episode that has ended waits at its last step.
+            state = replace(state, frame=min(state.frame, cell.model.frame_count(cell.state.drive) - 1))
         with self._lock:
             if (given := self._given.get(id(cell))) is None:
                 return
-            given.append(_shared(state))
-        wanted = {name: getattr(state, name) for name in _SHARED}
-        if state.drive != cell.state.drive:
+            given.append(self._shared(state))
+        wanted = {name: getattr(state, name) for name in self._shares}
+        if "drive" in wanted and state.drive != cell.state.drive:
             # Another drive starts anew; the rest follows.
             cell.update(drive=state.drive)
         cell.update(**{name: value for name, value in wanted.items() if value != getattr(cell.state, name)})
 
 
-def _shared(state: ReviewState) -> tuple[Any, ...]:
-    return tuple(getattr(state, name) for name in _SHARED)
-
-
 def cells_of(model: ReviewModel, state: ReviewState, last_corruption: str = "") -> tuple[ReviewState, ReviewState]:
     """Two states that are compared side by side.
 
-    Two methods where two are shown; clean and corrupted sweeps; else the drive's first two methods, or clean sweeps and
-    the last corruption.
+    Two methods where two are shown; clean and corrupted sweeps; the same episode with other eyes or another driver;
+    else the drive's first two methods, or clean sweeps and the last corruption.
 
     Args:
         last_corruption: kind of the last corruption, "" for none.
@@ -131,6 +138,8 @@ def cells_of(model: ReviewModel, state: ReviewState, last_corruption: str = "") 
         return replace(state, methods=(first,)), replace(state, methods=(second,))
     if state.corruption != CLEAN:
         return replace(state, corruption=CLEAN, parameters=()), state
+    if twins := model.twins(state.drive):
+        return state, replace(state, drive=next((one for one in twins if one > state.drive), twins[0]))
     if len(methods) > 1:
         shown = model.method(state)
         other = next(name for name in methods if name != shown)
@@ -153,7 +162,9 @@ h1{position:absolute;left:14px;top:12px;margin:0;padding:5px 12px;pointer-events
  border:1px solid rgba(148,163,184,.25)}
 </style></head><body><main></main><script>
 const asked=new URLSearchParams(location.search),pair=Math.random().toString(36).slice(2),links={};
+const drive=link=>new URLSearchParams(link).get('drive')||'0';
 const title=link=>{const q=new URLSearchParams(link),k=q.get('corruption')||'clean',parts=[];
+ if(drive(asked.get('left'))!==drive(asked.get('right')))parts.push('drive '+drive(link));
  if(q.get('methods'))parts.push(q.get('methods').split('|').map(decodeURIComponent).join(', '));
  if(q.get('cooperative')==='0')parts.push('ego alone');
  parts.push(k==='clean'?k:k.replaceAll('_',' ')+' '+(q.get('severity')||3));return parts.join(' \\u00b7 ');};

@@ -12,9 +12,12 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cells import OPEN_KEY, CellPair, cells_of, compare_address
 from dsrc.review.page.commands import COMMANDS
+from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from dsrc.review.sources.detected import ComputedSet
+from dsrc.review.sources.episodes import episode_source
 from dsrc.review.state import ReviewState
+from tests.dsrc.closed_loop.logged import Mover, ahead, episode
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.errors.test_report import Blind
 from tests.dsrc.review.page.conftest import SocketBrowser
@@ -265,3 +268,25 @@ def test_all_methods_lie_over_each_other_at_a_key(session: Session) -> None:
     assert session.state.methods == ("detector", "blind")
     RUN["Methods over each other"](session)
     assert session.state.methods == ("detector",)
+
+
+def test_one_episode_with_other_eyes_runs_in_step_and_the_shorter_waits_at_its_end(
+    connect_browser: type[SocketBrowser],
+) -> None:
+    movers = [Mover("ego", ahead(10.0)), Mover("parked", lambda t: (20.0, 3.0), yaw=0.0)]
+    logs = [episode(movers, steps, perception=eyes, seed=4) for steps, eyes in ((30, "sight"), (40, "truth"))]
+    model = ReviewModel([*map(episode_source, logs), episode_source(episode(movers, 30, seed=5))])
+    assert [model.twins(drive) for drive in range(3)] == [[1], [0], []]
+    assert [one.drive for one in cells_of(model, ReviewState(drive=1))] == [1, 0]
+    app = ReviewApp(model, start_server())
+    try:
+        left, right = (connect_browser(app, f"pair=e&drive={drive}").session for drive in (0, 1))
+        for cell in (left, right):
+            cell.wait_drawn()
+        wait_for(lambda: left.pair is right.pair is not None and len(left.pair.cells) == 2)
+        for frame, there in ((12, 12), (35, 29), (36, 29), (20, 20)):
+            right.update(frame=frame)
+            wait_for(lambda there=there: left.state.frame == there)
+            assert (left.state.drive, right.state.drive, right.state.frame) == (0, 1, frame)
+    finally:
+        app.close()
