@@ -16,6 +16,7 @@ COMMANDS: Mapping[str, str | Mapping[str, str]] = {
         "show": "scenario.Show",
         "check": "scenario.Check",
         "import": "scenario.Import",
+        "mine": "scenario.Mine",
         "export": "scenario.Export",
     },
     "generate": "dataset.Generate",

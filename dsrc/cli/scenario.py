@@ -11,9 +11,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 from tyro.conf import Positional
 
-from dsrc.cli.progress import log_lines, made
+from dsrc.cli.progress import log_lines, made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.fields import File, Folder, Output, Scenario, choice
+from dsrc.runs.executors import Pool
 from dsrc.tables.table import Table
 
 NAMED = ("lidars", "corruptions", "scenarios", "methods", "recipes", "channels")
@@ -247,6 +248,53 @@ class Import(msgspec.Struct, frozen=True):
         log_lines("sim.catalog.import_map", on_terminals=True)
         folder = import_map(Path(self.map), self.name, self.out, traffic_side=self.traffic_side, mix=self.mix)
         made(folder, "a scenario", "generate", folder, "--out", "data")
+
+
+class Mine(msgspec.Struct, frozen=True, kw_only=True):
+    """Make encounters of a map: its conflicts whose road user is hidden from the ego and seen by a helper, proven by rays.
+
+    Examples:
+        dsrc scenario mine helsinki --out mined --count 20
+        dsrc scenario mine my_town --out mined
+
+    Attributes:
+        scenario: shipped scenario, or path of a scenario.toml; all of its map is searched.
+        out: folder of a folder for each encounter, which `drive` takes as a whole; an interrupted run resumes.
+        count: encounters, fewer where the map has no more.
+        seed: seed for which they are proven, and of the order of places.
+    """
+
+    scenario: Positional[Scenario]
+    out: Folder
+    count: int = 20
+    seed: int = 0
+    pool: Pool = Pool()
+    output: Output = Output()
+
+    def run(self) -> None:
+        """Search the map and print what was found and what was refused."""
+        from collections import Counter
+
+        from dsrc.data.mine import mine
+        from sensors.recording.mining import PROVEN
+        from sim.catalog.load import load_scenario
+        from sim.errors import SettingsError
+
+        require_kind("scenario mine", self.scenario, "scenario")
+        if not self.scenario.endswith(".toml") and Path(self.scenario).is_file():
+            raise SettingsError(f"scenario mine: {self.scenario} is a map; run: dsrc scenario import {self.scenario}")
+        with progress("places") as report:
+            found = mine(load_scenario(self.scenario), Path(self.out), self.count, self.seed, self.pool, report)
+        kept = [one for one in found if one.verdict == PROVEN][: self.count]
+        rows = [(one.kind, one.hidden_by, one.place, one.hidden_s, one.helper, one.verdict) for one in kept]
+        refused = Counter((one.kind, one.hidden_by, one.verdict) for one in found if one.verdict != PROVEN)
+        width = shutil.get_terminal_size().columns
+        head = ("kind", "hidden by", "place", "hidden s", "seen by", "verdict")
+        sys.stderr.write(f"{Table.of(head, rows).text(width)}\n")
+        reasons = ((*key, number) for key, number in sorted(refused.items()))
+        sys.stderr.write(f"{Table.of(('refused', 'hidden by', 'why', 'candidates'), reasons, 3).text(width)}\n")
+        names = [one.scenario.name for one in kept if one.scenario is not None]
+        made([Path(self.out) / name for name in names], f"{len(names)} encounters", "drive", self.out)
 
 
 class Export(msgspec.Struct, frozen=True, kw_only=True):

@@ -204,24 +204,19 @@ def prove_encounter(scenario: Scenario, seed: int, *, hurry: bool = False) -> Pr
         hurry: stop at the first failed condition; later results stay None.
     """
     scenario = with_encounter(scenario, seed)
-    drive = _roll_out(scenario, seed)
+    drive = roll_out(scenario, seed)
     if drive.hit != "conflict":
         reason = "other collision" if drive.hit else "no collision"
         return Proof(holds=False, reason=reason, hit=drive.hit, hit_s=drive.hit_s)
     assert drive.hit_s is not None
     scene = static_scene(scenario, seed)
     counter = _PointCounter(scene, scenario, seed, drive.steps)
-    last = round(drive.hit_s / scenario.step_s)
-    row = drive.steps[0].row(EGO_ID)
-    speed = np.array([float(np.hypot(*step.velocity[row])) for step in drive.steps[: last + 1]])
-    ttc = drive.hit_s - scenario.step_s * np.arange(last + 1)
-    critical = LATENCY_S + speed / (2.0 * BRAKING_MPS2)
-    in_time = np.flatnonzero(ttc >= critical)
-    limit = int(in_time[-1]) if len(in_time) else 0
+    ttc, critical, limit = last_chance(drive, scenario.step_s)
+    last = len(ttc) - 1
     fields: dict[str, Any] = {
         "hit_s": drive.hit_s,
         "hit": drive.hit,
-        "critical_ttc_s": round(float(critical[limit]), 3),
+        "critical_ttc_s": round(critical, 3),
     }
     # First the last second, in which the view opens, then every other step for short glimpses, then the rest.
     likely = [*range(limit, max(limit - 10, -1), -1), *range(max(limit - 10, 0), -1, -_CHECK_EVERY)]
@@ -253,7 +248,7 @@ def _first_helper(counter: "_PointCounter", ttc: np.ndarray) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Drive:
+class Rollout:
     """Rollout of an encounter: actors of every step until one after the crash, and the crash of the ego."""
 
     steps: tuple[Actors, ...]
@@ -261,7 +256,25 @@ class _Drive:
     hit: str
 
 
-def _roll_out(scenario: Scenario, seed: int) -> _Drive:
+def last_chance(drive: Rollout, step_s: float) -> tuple[np.ndarray, float, int]:
+    """Return (T,) times to the collision, s, the critical one, and the last step at which the ego can still stop."""
+    assert drive.hit_s is not None
+    last = round(drive.hit_s / step_s)
+    row = drive.steps[0].row(EGO_ID)
+    speed = np.array([float(np.hypot(*step.velocity[row])) for step in drive.steps[: last + 1]])
+    ttc = drive.hit_s - step_s * np.arange(last + 1)
+    critical = LATENCY_S + speed / (2.0 * BRAKING_MPS2)
+    in_time = np.flatnonzero(ttc >= critical)
+    limit = int(in_time[-1]) if len(in_time) else 0
+    return ttc, float(critical[limit]), limit
+
+
+def roll_out(scenario: Scenario, seed: int) -> Rollout:
+    """Return the rollout of an encounter without any reaction.
+
+    Args:
+        scenario: with the agents of its encounter, see `sim.encounters.with_encounter`.
+    """
     stand = standing(scenario, seed)
     with ScriptedTraffic(scenario, seed) as traffic:
         steps = [stand(traffic.actors).rounded()]  # as a drive has them
@@ -269,10 +282,10 @@ def _roll_out(scenario: Scenario, seed: int) -> _Drive:
             steps.append(stand(traffic.step()).rounded())
         steps.append(stand(traffic.step()).rounded())
         if not traffic.crashes:
-            return _Drive(tuple(steps), None, "")
+            return Rollout(tuple(steps), None, "")
         time_s, *names = traffic.crashes[0]
         others = [name for name in names if name != "ego"]
-        return _Drive(tuple(steps), time_s, others[0] if len(others) == 1 else "+".join(names))
+        return Rollout(tuple(steps), time_s, others[0] if len(others) == 1 else "+".join(names))
 
 
 class _PointCounter:

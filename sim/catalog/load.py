@@ -75,6 +75,19 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     return msgspec.structs.replace(scenario, network=network, demand=_beside(scenario.demand, ("trips",), path.parent))
 
 
+def scenarios_in(name: str) -> list[str]:
+    """Return the scenarios in the folders of a folder, sorted; a name or path that is no such folder stands for itself.
+
+    `FOLDER:VARIANT` gives that variant of each.
+    """
+    folder, colon, variant = (name, "", "") if Path(name).exists() else name.partition(":")
+    path = Path(folder)
+    inside = sorted(path.glob("*/scenario.toml")) if not (path / "scenario.toml").is_file() else []
+    if (ROOT / folder / "scenario.toml").is_file():
+        return [name]
+    return [f"{file.parent}{colon}{variant}" for file in inside] or [name]
+
+
 def _varied(name: str) -> Scenario:
     """Return the encounter NAME:CONTROL or NAME:TRAFFIC, renamed accordingly.
 

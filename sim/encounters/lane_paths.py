@@ -66,27 +66,27 @@ def lane_paths_of(name: str, net: Network, given: Mapping[str, Sequence[str]]) -
                 hint = did_you_mean(pair[1], reached)
                 raise ScenarioError(complaint(name, field, f"a lane that {pair[0]} leads to", pair[1], hint))
             start = link.getFromLane()
-        found[role] = _path_along(net, start, link)
+        found[role] = lane_path(net, start, link)
     return found
 
 
-def _path_along(net: Network, start: RoadLane, link: Link | None) -> LanePath:
+def lane_path(net: Network, start: RoadLane, link: Link | None) -> LanePath:
     """Return the path along a lane and over a connection, continued in both directions."""
     before, nothing, first, last = _shape(start), np.zeros((0, 3)), start, start
-    inside, after, mark = nothing, nothing, before[0]
+    within, after, mark = nothing, nothing, before[0]
     if link is not None:
         mark = before[-1]
         last = link.getToLane()
-        inside, after = _inside(net, link), _shape(last)
+        within, after = inside(net, link), _shape(last)
     while _length(before) < BEFORE_M and (back := _straightest(first.getIncoming(), before[0], first)) is not None:
         first = back
         via = next(link for link in back.getOutgoing() if link.getToLane() is not None and _leads(link, before[0]))
-        before = np.concatenate([_shape(back), _inside(net, via), before])
+        before = np.concatenate([_shape(back), inside(net, via), before])
     while _length(after) < AFTER_M and (links := [one for one in last.getOutgoing() if one.getDirection() != "t"]):
         onward = min(links, key=lambda link: _bend(last, link.getToLane()))
         last = onward.getToLane()
-        after = np.concatenate([after, _inside(net, onward), _shape(last)])
-    path = ReferencePath.through(np.concatenate([before, inside, after]), 6.0)
+        after = np.concatenate([after, inside(net, onward), _shape(last)])
+    path = ReferencePath.through(np.concatenate([before, within, after]), 6.0)
     return LanePath(path, path.nearest(mark[:2]), net.kerb_side)
 
 
@@ -103,7 +103,8 @@ def _shape(lane: RoadLane) -> Array:
     return np.array(lane.getShape3D(), np.float64)
 
 
-def _inside(net: Network, link: Link) -> Array:
+def inside(net: Network, link: Link) -> Array:
+    """Return the (K, 3) line of a connection inside its junction, m; empty without one."""
     parts = [np.zeros((0, 3))]
     via = link.getViaLaneID()
     while via:

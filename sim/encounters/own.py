@@ -121,7 +121,7 @@ def lay_out(
     """
     ego_way, other_way = streets["ego"], streets.get("conflict")
     if other_way is not None:
-        meet, ego_at = _conflict_point(name, ego_way, other_way)
+        meet, ego_at = conflict_point(name, ego_way, other_way)
     else:
         ego_at = float(np.clip(ego_way.stop_m + p["cross_m"], 0.0, ego_way.path.length))
         meet = ego_way.path.at(ego_at)[0][:2]
@@ -148,8 +148,12 @@ def lay_out(
     return Layout(None, tuple(actors), tuple(structures), focus=focus, reach_m=REACH_M)
 
 
-def _conflict_point(name: str, ego: LanePath, other: LanePath) -> tuple[Array, float]:
-    """Return the (2,) conflict point and its distance along the ego's path, m."""
+def conflict_point(name: str, ego: LanePath, other: LanePath) -> tuple[Array, float]:
+    """Return the (2,) conflict point of two ways and its distance along the ego's path, m.
+
+    Raises:
+        ScenarioError: they do not meet behind their stop lines.
+    """
     before, after = _BESIDE_M
     parts = []
     for way in (ego, other):

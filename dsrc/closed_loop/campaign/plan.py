@@ -55,7 +55,7 @@ from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import NO_DEFENCE, DriveOptions
 from dsrc.options.fields import RENAMED, changed_radios
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
-from sim.catalog.load import load_scenario
+from sim.catalog.load import load_scenario, scenarios_in
 from sim.encounters import ENCOUNTERS
 from sim.errors import SettingsError, complaint, option
 from sim.files import file_sha256
@@ -212,7 +212,8 @@ def read_campaign(path: Path) -> Campaign:
     for driver in plan.drivers:
         if kind_of(driver) == "pipe":
             raise SettingsError(complaint(path, "driver", NO_COMMAND, driver))
-    files = [name.partition(".toml") for name in plan.scenarios]
+    listed = [one for name in plan.scenarios for one in _scenarios_of(name, path.parent)]
+    files = [name.partition(".toml") for name in listed]
     scenarios = tuple(
         found(name + ending) + variant if ending or (path.parent / name / "scenario.toml").is_file() else name
         for name, ending, variant in files
@@ -228,6 +229,12 @@ def read_campaign(path: Path) -> Campaign:
         if given.get(field) not in (None, [], [CLEAN], [IDEAL]):
             raise SettingsError(complaint(path, field, expected, f"{given[field]}"))
     return with_engine(plan)
+
+
+def _scenarios_of(name: str, folder: Path) -> list[str]:
+    """Return the scenarios that a name of a plan in a folder stands for, see `scenarios_in`."""
+    found = scenarios_in(str(folder / name))
+    return found if found != [str(folder / name)] else scenarios_in(name)
 
 
 def _patient(plan: Campaign, loop: Mapping[str, Any]) -> Campaign:
@@ -311,7 +318,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
     loop = {name: given[name] for name in LoopSettings.__struct_fields__ if name in given}
     seeds = options.seed or (0,)
     listed: dict[str, Any] = {
-        "scenarios": [options.what],
+        "scenarios": scenarios_in(options.what),
         "name": options.what,
         "corruption": options.corruption or (CLEAN,),
         "clean_seeds": seeds,
@@ -496,7 +503,7 @@ def late_messages(plan: Campaign) -> Iterator[tuple[str, float, float]]:
 
 def controls_of(plan: Campaign) -> Campaign | None:
     """Return the campaign of the controls of all encounters with the truth; None without an encounter."""
-    shipped = [name for name in plan.scenarios if name.partition(":")[0] in ENCOUNTERS]
+    shipped = [name for name in plan.scenarios if name.partition(":")[0] in ENCOUNTERS or len(Path(name).parts) > 1]
     bare = [name for name in shipped if (conflict := load_scenario(name).conflict) is not None and not conflict.control]
     if not bare:
         return None
