@@ -85,6 +85,8 @@ def _proven(one: Candidate, base: Scenario, scenario: Scenario, seed: int) -> Fi
             layout = encounter_of(drawn, seed).layout
         except ScenarioError as error:
             return _finding(one, "in the way" if ".placed[" in str(error) else "road too short")
+        if min(actor.start_m for actor in layout.actors[:2]) < 0.0:  # they would appear on their way
+            return _finding(one, "road too short")
         drive = roll_out(with_encounter(drawn, seed), seed)
         if drive.hit != "conflict":
             verdict = "other collision" if drive.hit else "no collision"
@@ -115,7 +117,7 @@ def _seen_early(drive: Rollout, scene: RayScene, step_s: float) -> bool:
         if CONFLICT_ID not in now.boxes.object_id:
             continue
         row = now.row(EGO_ID)
-        eye = now.boxes.center[row] + [0.0, 0.0, 0.5 * now.boxes.size[row, 2] + _ROOF_M]
+        eye = now.boxes.center[row] + np.array([0.0, 0.0, 0.5 * now.boxes.size[row, 2] + _ROOF_M])
         share = seen_share(scene, now.boxes, eye[None], [EGO_ID], np.array([now.row(CONFLICT_ID)]))
         if share[0, 0] >= _SEEN:
             return True
@@ -133,10 +135,10 @@ def _stands_in(one: ScriptedActor, scene: RayScene) -> bool:
     corners = np.array(
         [place + 0.5 * (a * length * ahead + b * width * left) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
     )
-    start = np.concatenate([corners + [0.0, 0.0, height] for height in _HEIGHTS_M])
-    end = np.concatenate([np.roll(corners, -1, axis=0) + [0.0, 0.0, height] for height in _HEIGHTS_M])
-    start = np.concatenate([start, place[None] + [0.0, 0.0, _HEIGHTS_M[0]]])
-    end = np.concatenate([end, place[None] + [0.0, 0.0, _ABOVE_M]])
+    up = np.array([0.0, 0.0, 1.0])
+    start = np.concatenate([*(corners + height * up for height in _HEIGHTS_M), place[None] + _HEIGHTS_M[0] * up])
+    around = np.roll(corners, -1, axis=0)
+    end = np.concatenate([*(around + height * up for height in _HEIGHTS_M), place[None] + _ABOVE_M * up])
     far = np.linalg.norm(end - start, axis=1)
     hits = scene.cast(start, (end - start) / far[:, None], float(far.max()))
     return bool(((hits.face >= 0) & (hits.distance < far)).any())

@@ -51,7 +51,7 @@ def test_a_mined_encounter_is_a_scenario_whose_road_user_is_hidden_by_rays(mined
     drive = roll_out(whole, scenario.seed)
     _, _, limit = last_chance(drive, scenario.step_s)
     now = drive.steps[limit]
-    eye = now.boxes.center[now.row(EGO_ID)] + [0.0, 0.0, 1.2]
+    eye = now.boxes.center[now.row(EGO_ID)] + np.array([0.0, 0.0, 1.2])
     share = seen_share(
         static_scene(whole, scenario.seed), now.boxes, eye[None], [EGO_ID], np.array([now.row(CONFLICT_ID)])
     )
