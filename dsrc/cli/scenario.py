@@ -251,7 +251,7 @@ class Import(msgspec.Struct, frozen=True):
 
 
 class Mine(msgspec.Struct, frozen=True, kw_only=True):
-    """Make encounters of a map: its conflicts whose road user is hidden from the ego and seen by a helper, proven by rays.
+    """Make encounters of a map: conflicts whose road user is hidden from the ego and seen by a helper, proven by rays.
 
     Examples:
         dsrc scenario mine helsinki --out mined --count 20
