@@ -88,7 +88,24 @@ document.addEventListener('keydown',e=>{
 })();
 """
 
-HEAD = f"<script>{_DRAWING}{HONEST_COLORS}{_LINK}{_KEYS}</script>"
+_NOTICE = """
+(()=>{const seen=new WeakSet(),t=setInterval(()=>{
+ for(const one of document.querySelectorAll('.mantine-Notification-root')){
+  if(seen.has(one)||!one.innerText.includes('Software WebGL'))continue;
+  seen.add(one);clearInterval(t);
+  // Of cells side by side the first one says it.
+  const first=window.parent===window||window.frameElement?.id==='left';
+  if(!first)one.style.display='none';
+  setTimeout(()=>one.querySelector('button')?.click(),first?6000:0);}},100);
+})();
+"""
+# That a browser draws in software is worth a message, once, and not over the scene for good.
+
+_TYPE = """<style>html{font-size:16px!important}
+.mantine-Slider-markLabel,.uplot,.uplot *,.mantine-Badge-label{font-size:12px!important}</style>"""
+# viser's smallest text is 8 px; its labels are three quarters of the page's size.
+
+HEAD = f"{_TYPE}<script>{_DRAWING}{HONEST_COLORS}{_LINK}{_KEYS}{_NOTICE}</script>"
 """What a live page's head begins with."""
 
 

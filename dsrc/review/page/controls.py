@@ -178,8 +178,6 @@ _SEEN = {"anybody or none": "", "the ego": "ego", "helpers alone": "helper", "no
 CONTROLS: tuple[Control, ...] = (
     Control("drive", Choice(_drives), "Drive", link="drive", shown=lambda s: len(s.model.names) > 1),
     Control("frame", Slider(0, lambda s: s.model.frame_count(s.state.drive) - 1, 1), "Frame", link="frame"),
-    Control("speed", Choice(_named(SPEEDS)), "Speed", link="speed"),
-    Control("camera", Choice(_named({"Free": "free", "Chase": "chase", "Bird's eye": "bev"})), "Camera", link="camera"),
     Control("object_id", Choice(_objects, closed=False), "Object", "Selection", link="object"),
     Control("detection", None, link="detection"),
     Control("corruption", Choice(_same(CLEAN, *CORRUPTIONS)), "Corruption", "Corruption lab", link="corruption"),
@@ -210,6 +208,14 @@ CONTROLS: tuple[Control, ...] = (
     Control("error_range", Choice(_same(*BANDS)), "Distance, m", "Errors", link="distance", shown=_detects),
     Control("error_seen_by", Choice(_named(_SEEN)), "Seen by", "Errors", link="seen", shown=_detects),
     Control("gallery", Switch(), "Draw the worst", "Errors by cause", link="gallery", shown=_detects),
+    Control("speed", Choice(_named(SPEEDS)), "Speed", "Look", link="speed"),
+    Control(
+        "camera",
+        Choice(_named({"Free": "free", "Chase": "chase", "Bird's eye": "bev"})),
+        "Camera",
+        "Look",
+        link="camera",
+    ),
     Control("color_by", Choice(_same(*COLOR_BY)), "Colour by", "Look", link="color", key="U"),
     Control(
         "boxes_by",

@@ -48,7 +48,8 @@ class ErrorsPanel:
             self.progress = gui.add_markdown("")
             self.bar: Any = gui.add_progress_bar(0.0, visible=False)
             self.detect = gui.add_button("Detect in all frames", visible=False)
-            self.controls = build_controls("Errors", page)
+            with gui.add_folder("Filters", expand_by_default=False):
+                self.controls = build_controls("Errors", page)
             self.rows = [gui.add_button("", visible=False) for _ in range(ROWS)]
             self.pages = gui.add_button_group("Errors", ("‹", "›"))
             self.frames = gui.add_dropdown("Worst frames", (_NO_FRAME,))

@@ -331,3 +331,15 @@ def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(ope
         assert first.state.frame == 0
         np.testing.assert_allclose(first.client.camera.position, place, atol=1e-3)
     wait_for(lambda: len(opened.app.sessions) == 1)
+
+
+def test_type_is_legible_and_the_notice_of_software_goes_away(opened: Opened) -> None:
+    with open_page(f"{opened.app.url}/?fixedDpr=1", (1440, 900)) as page:
+        page.wait_for("document.body?.innerText.includes('Errors of the run')", PATIENCE_S)
+        page.wait_for("!document.body.innerText.includes('Software WebGL')", PATIENCE_S)
+        sizes = page.evaluate(
+            "[...document.querySelectorAll('body *')].filter(e=>e.offsetParent&&[...e.childNodes].some("
+            "n=>n.nodeType==3&&n.textContent.trim())).map(e=>[parseFloat(getComputedStyle(e).fontSize),e.innerText])"
+        )
+        assert len(sizes) > 20 and min(sizes)[0] >= 12.0, min(sizes)
+    wait_for(lambda: len(opened.app.sessions) == 1, PATIENCE_S)
