@@ -143,10 +143,11 @@ def add_detectors(
         if name in detectors or any(name in source.sets for source in sources):
             raise SettingsError(complaint("view", "checkpoint", "names that differ", name, "; give names: name=path"))
         detectors[name] = LateDetector(partial(_opened, text, engine, height))
+    if not late:
+        for detector in detectors.values():
+            detector.open()
     for source in sources:
         source.sets.update({name: ComputedSet(name, detector) for name, detector in detectors.items()})
-    if not late:
-        open_late(sources)
 
 
 def _opened(text: str, engine: str, height: str) -> SampleDetector:
