@@ -21,9 +21,9 @@ QUICK = ("braunschweig", "four_way", "rilsa_1")
 """Those that are looked at in every run; the others are slow."""
 
 
-def every(names: list[str] = PLACES) -> list:
-    """Return places as parameters of a test."""
-    return [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in names]
+def every(names: list[str] = PLACES, quick: tuple[str, ...] = QUICK) -> list:
+    """Return places as parameters of a test, of which those that are not quick are slow."""
+    return [name if name in quick else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 def at_hand(name: str) -> Scenario:

@@ -36,7 +36,7 @@ def near(actors: Actors, scenario: Scenario, margin: float) -> np.ndarray:
     return (x > x_min - margin) & (x < x_max + margin) & (y > y_min - margin) & (y < y_max + margin)
 
 
-@pytest.mark.parametrize("name", every())
+@pytest.mark.parametrize("name", every(quick=("four_way", "rilsa_1")))
 def test_traffic_stays_physical_for_a_minute(name: str) -> None:
     scenario = at_hand(name)
     with SumoTraffic(scenario, 1) as traffic:
@@ -154,7 +154,7 @@ def test_without_a_rate_nobody_parks() -> None:
     assert len(cars) == 0 and cars.bays.is_empty
 
 
-@pytest.mark.parametrize("name", every())
+@pytest.mark.parametrize("name", every(quick=("rilsa_1",)))
 def test_a_drive_of_two_frames_can_be_made(name: str, tmp_path: Path) -> None:
     scenario = at_hand(name)
     agents = msgspec.structs.replace(scenario.agents, lidar="debug-16")

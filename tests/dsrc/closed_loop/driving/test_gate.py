@@ -10,6 +10,8 @@ from dsrc.closed_loop.types import Decision, Driver, EgoState, LaneMap, Outcome,
 from sim.encounters import ENCOUNTERS
 from tests.dsrc.closed_loop.driving.drives import drive
 
+QUICK = ("ima_building", "lta_truck", "eebl_chain", "ped_dartout")
+"""One of each family: crossing, turning, following and walking; the others are slow."""
 CONDITIONS = ("", ":no_occluder", ":no_conflict")
 ROADS = ("braunschweig", "four_way", "helsinki", "rilsa_1", "motorway_a10")
 HIGHWAY = ("merge", "roundabout", "intersection", "two_way", "racetrack")
@@ -39,7 +41,9 @@ def test_who_only_stands_does_not_pass(condition: str) -> None:
         check_encounter("lta_truck", condition, 0, Standing())
 
 
-@pytest.mark.parametrize("kind", ENCOUNTERS)
+@pytest.mark.parametrize(
+    "kind", [kind if kind in QUICK else pytest.param(kind, marks=pytest.mark.slow) for kind in ENCOUNTERS]
+)
 def test_with_the_truth_every_encounter_and_control_ends_at_the_goal(kind: str) -> None:
     for condition in CONDITIONS:
         check_encounter(kind, condition, 0)

@@ -19,7 +19,7 @@ from sim.world.ground import streets_of as scenario_streets
 from sim.world.roads.streets import Streets
 from tests.sim.roads.places import at_hand
 
-PLACES = ("four_way", "rilsa_1", pytest.param("motorway_a10", marks=pytest.mark.slow))
+PLACES = ("rilsa_1", *(pytest.param(name, marks=pytest.mark.slow) for name in ("four_way", "motorway_a10")))
 
 
 def furnished(name: str) -> Scenario:
