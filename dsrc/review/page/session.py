@@ -440,7 +440,8 @@ class Session:
             self.stage.draw(view, state.drive, lambda: self.camera.follow(view, state))
             self.view = view
             thin = (one for one in view.agents if len(one.points) < min(one.total, state.max_points) and one.visible)
-            self._rest_at = time.monotonic() + REST_S if any(thin) else None
+            # A rested view may hold a few points fewer than it could, and is not drawn again for them.
+            self._rest_at = time.monotonic() + REST_S if shown is not state and any(thin) else None
             if self._looks and view.selected is not None:
                 self.fly_to(view.selected)
             self._looks = False

@@ -386,3 +386,9 @@ def test_while_frames_change_fewer_points_are_sent_and_all_of_them_once_the_view
     assert all(len(agent.points) == agent.total for agent in rested.agents)
     session.update(threshold=0.9)
     assert all(len(agent.points) == agent.total for agent in session.wait_drawn(rested=False).agents)
+
+
+def test_a_view_whose_rings_leave_fewer_points_than_it_could_draw_comes_to_rest(session: Session) -> None:
+    session.update(frame=1, max_points=900)
+    view = session.wait_drawn()
+    assert all(0 < len(agent.points) < 900 < agent.total for agent in view.agents)
