@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from dsrc.review.palette import Rgb, css
 
-_WIDTH, _HEIGHT, _HEAD, _EDGE = 280.0, 30.0, 17.0, 6.0
+_WIDTH, _HEIGHT, _HEAD, _EDGE = 280.0, 30.0, 18.0, 6.0
 """Of the picture, of a strip and of the line above it, and the margin at both sides, px."""
-_LETTER = 5.6
-"""Width of a letter of the marks' names, px."""
-_TEXT, _FAINT = "#dbe3ee", "#8b98ab"
+_LETTER, _LINE = 6.4, 13.0
+"""Width of a letter of the marks' names and height of their lines, px."""
+_TEXT, _FAINT, _CARD, _GROUND, _AXIS = "#1c2430", "#5f6b7c", "#eef0f3", "#ffffff", "#c3cad4"
+"""Colours of the plots in both themes: colours of agents and verdicts are made for light ground."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,12 +91,12 @@ def plots_svg(
         taken[line] = middle + half + _LETTER
         lines = max(lines, line + 1)
         parts.append(f'<path d="M{x(row):.1f} {_HEAD}V{bottom + 2}" stroke="{_FAINT}" stroke-dasharray="2 2"/>')
-        parts.append(_text(middle, bottom + 11.0 * (line + 1), name, _TEXT, "middle"))
-    parts.append(f'<path d="M{x(now):.1f} {_HEAD}V{bottom}" stroke="#fff" stroke-width="1.2"/>')
-    height = bottom + 11.0 * lines + 14.0
+        parts.append(_text(middle, bottom + _LINE * (line + 1), name, _TEXT, "middle"))
+    parts.append(f'<path d="M{x(now):.1f} {_HEAD}V{bottom}" stroke="{_TEXT}" stroke-width="1.2"/>')
+    height = bottom + _LINE * lines + 15.0
     parts.append(_text(_EDGE, height - 3.0, edges[0], _FAINT, "start"))
     parts.append(_text(_WIDTH - _EDGE, height - 3.0, edges[1], _FAINT, "end"))
-    style = "background:#12161f;border-radius:4px;cursor:crosshair;display:block;font:10.5px system-ui,sans-serif"
+    style = f"background:{_CARD};border-radius:4px;cursor:crosshair;display:block;font:12px system-ui,sans-serif"
     goes = f'data-ends="{ends[0]},{ends[1]},{_EDGE / _WIDTH:.5f}"'
     return f'<svg {goes} viewBox="0 0 {_WIDTH:g} {height:g}" width="100%" style="{style}">{"".join(parts)}</svg>'
 
@@ -110,9 +111,9 @@ def _strip(strip: Strip, x: Callable[[int], float], y: float, now: int) -> str:
     def place(value: float) -> float:
         return top + _HEIGHT * (high - min(max(value, low), high)) / (high - low)
 
-    parts = [f'<rect x="{_EDGE}" y="{top}" width="{right - _EDGE}" height="{_HEIGHT}" fill="#1b212d"/>']
+    parts = [f'<rect x="{_EDGE}" y="{top}" width="{right - _EDGE}" height="{_HEIGHT}" fill="{_GROUND}"/>']
     if low < 0.0:
-        parts.append(f'<path d="M{_EDGE} {place(0.0):.1f}H{right}" stroke="#3a4456"/>')
+        parts.append(f'<path d="M{_EDGE} {place(0.0):.1f}H{right}" stroke="{_AXIS}"/>')
     if strip.level is not None:
         parts.append(f'<path d="M{_EDGE} {place(strip.level):.1f}H{right}" stroke="{_FAINT}" stroke-dasharray="5 3"/>')
     said = ""
@@ -122,11 +123,17 @@ def _strip(strip: Strip, x: Callable[[int], float], y: float, now: int) -> str:
         parts.append(f'<path d="{path}" fill="none" stroke="{css(line.rgb)}" {style}/>')
         value = line.at(now)
         shown = f"{value:.{strip.digits}f}" if np.isfinite(value) else "–"
-        said += f'<tspan fill="{css(line.rgb)}" dx="7">{escape(line.name)} {shown}</tspan>'
+        said += f'<tspan fill="{css(line.rgb)}" dx="6">{escape(line.name)} {shown}</tspan>'
     if strip.level is not None:
-        said += f'<tspan fill="{_FAINT}" dx="7">at least {strip.level:g}</tspan>'
+        said += f'<tspan fill="{_FAINT}" dx="6">≥ {strip.level:g}</tspan>'
     parts.append(f'<text x="{_EDGE}" y="{top - 4.0:g}" fill="{_TEXT}">{escape(strip.title)}{said}</text>')
-    return "".join([*parts, _text(right, top - 4.0, f"{low:.3g} to {high:.3g}", _FAINT, "end")])
+    return "".join([*parts, _text(right, top - 4.0, _range(low, high), _FAINT, "end")])
+
+
+def _range(low: float, high: float) -> str:
+    """Text of the ends of an axis: the upper one alone where the lower is 0."""
+    upper = f"{high:.0f}" if high >= 100.0 else f"{high:.3g}"
+    return f"{low:.3g} to {upper}" if low else upper
 
 
 def _path(x: list[float], values: list[float], place: Callable[[float], float]) -> str:

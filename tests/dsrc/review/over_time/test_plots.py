@@ -42,15 +42,15 @@ def test_the_present_value_is_that_of_the_nearest_frame_before() -> None:
 
 def test_a_level_is_drawn_at_its_value() -> None:
     svg = drawn(Strip("score", [Line("", (1, 2, 3), ROWS, np.full(11, 0.2))], level=0.3, high=1.0))
-    (level,) = re.findall(r'M6.0 ([\d.]+)H274.0" stroke="#8b98ab" stroke-dasharray="5 3"', svg)
-    assert float(level) == pytest.approx(17.0 + 0.7 * 30.0) and "at least 0.3" in svg
+    (level,) = re.findall(r'M6.0 ([\d.]+)H274.0" stroke="#5f6b7c" stroke-dasharray="5 3"', svg)
+    assert float(level) == pytest.approx(18.0 + 0.7 * 30.0) and "≥ 0.3" in svg
 
 
 def test_marks_that_would_cover_each_other_stand_below_each_other() -> None:
     strip = Strip("gap, m", [Line("", (1, 2, 3), ROWS, np.ones(11))])
     svg = drawn(strip, marks={"first sight": 1, "first track": 2, "contact": 9})
     height = {
-        name: float(y) for y, name in re.findall(r'y="([\d.]+)" fill="#dbe3ee" text-anchor="middle">([^<]*)<', svg)
+        name: float(y) for y, name in re.findall(r'y="([\d.]+)" fill="#1c2430" text-anchor="middle">([^<]*)<', svg)
     }
     assert height["first sight"] == height["contact"] < height["first track"]
 
@@ -63,3 +63,10 @@ def test_nothing_known_draws_nothing_and_names_are_no_html() -> None:
 def test_a_click_finds_the_frames_at_the_edges() -> None:
     svg = plots_svg([Strip("gap", [Line("", (1, 2, 3), ROWS, np.ones(11))])], (3, 9), 4, {}, ("", ""))
     assert 'data-ends="3,9,0.02143"' in svg
+
+
+def test_the_ends_of_an_axis_are_whole_numbers_where_they_are_large_and_the_lower_one_is_told_below_zero() -> None:
+    def ends(low: float, high: float) -> str:
+        return drawn(Strip("points", [Line("", (1, 2, 3), ROWS, np.linspace(low, high, 11))]))
+
+    assert ">6412<" in ends(0.0, 6412.4) and ">1.5<" in ends(0.2, 1.5) and ">-36.4 to 2.21<" in ends(-36.4, 2.21)

@@ -64,7 +64,7 @@ def test_a_selected_object_has_score_iou_points_visibility_and_distance(model: R
     svg = over_time(model, state, model.view(state))
     for title in ("score", "IoU", "points", "visible, %", "distance, m"):
         assert f">{title}<" in svg
-    assert "at least 0.65" in svg and "frame 0" in svg and ">11<" in svg
+    assert "≥ 0.65" in svg and "frame 0" in svg and ">11<" in svg
     alone = over_time(model, state, model.view(state)).count("<path")
     assert alone > 7
 
