@@ -50,7 +50,7 @@ def episode_strips(line: EpisodeTimeline, met: "Meeting | None") -> list[Strip]:
         Strip("speed, m/s", [Line("", blue, rows, line.speed_mps)]),
         Strip(
             "m/s²",
-            [Line("wanted", amber, rows, line.wanted_mps2), Line("acceleration", blue, rows, line.acceleration_mps2)],
+            [Line("wanted", amber, rows, line.wanted_mps2), Line("real", blue, rows, line.acceleration_mps2)],
         ),
     ]
     if met is not None:
