@@ -1,5 +1,6 @@
 """Encounters mined from a map into a folder of scenarios."""
 
+import filecmp
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -58,6 +59,7 @@ def mine(
         raise ScenarioError(complaint(base.name, "network", "a map: one of shipped, generate, file, wheel", "none"))
     scenario_lidars(base)
     base = msgspec.structs.replace(base, conflict=None)
+    _check_files(base.network, out)
     places = find_conflicts(base, read_network(resolve_network(base, seed)), seed)
     findings: list[Finding] = []
     for first in range(0, len(places), _BATCH):
@@ -89,14 +91,26 @@ def _judge(place: _Place, _: Progress) -> list[Finding]:
     return judge(place.candidates, place.base, place.seed)
 
 
+def _own_files(network: NetworkSpec) -> dict[str, Path]:
+    """Return the files of a network that no package has, by their fields."""
+    paths = {field: Path(getattr(network, field)) for field in ("file", "polygons")}
+    return {field: path for field, path in paths.items() if path.is_absolute() and path.is_file()}
+
+
+def _check_files(network: NetworkSpec, out: Path) -> None:
+    """Raise SettingsError where `out` has the file of another map under the name of one of the network's."""
+    for path in _own_files(network).values():
+        kept = out / path.name
+        if kept.is_file() and not filecmp.cmp(path, kept, shallow=False):
+            raise SettingsError(complaint(kept, "file", f"that of {path}", "another", "; choose another --out"))
+
+
 def _portable(network: NetworkSpec, out: Path) -> NetworkSpec:
     """Return a network as a scenario in a folder of `out` names it, its own files copied there once."""
     named = {}
-    for field in ("file", "polygons"):
-        path = Path(getattr(network, field))
-        if path.is_absolute() and path.is_file():
-            if not (out / path.name).is_file():
-                with replacing(out / path.name) as temporary:
-                    shutil.copyfile(path, temporary)
-            named[field] = f"../{path.name}"
+    for field, path in _own_files(network).items():
+        if not (out / path.name).is_file():
+            with replacing(out / path.name) as temporary:
+                shutil.copyfile(path, temporary)
+        named[field] = f"../{path.name}"
     return msgspec.structs.replace(network, area_m=None, **named)

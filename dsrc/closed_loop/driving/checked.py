@@ -55,7 +55,7 @@ class CheckedDriver:
         began = time.perf_counter()
         try:
             found = call()
-        except Exception as error:  # a driver of one's own may raise anything, and the campaign goes on
+        except (Exception, SystemExit) as error:  # a driver of one's own may raise anything, and the campaign goes on
             self.failure = f"{type(error).__name__}: {one_line(error, 1000)}"
             return None
         if (took_s := time.perf_counter() - began) > self._limit_s:

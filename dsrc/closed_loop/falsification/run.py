@@ -185,7 +185,10 @@ def _plan(options: SearchOptions, perception: str) -> Campaign:
 
 
 def _space(options: SearchOptions) -> Space:
-    if not options.fault and not options.parameter and len(options.seed) * len(options.scenario) == 1:
+    for name, least in (("budget", 1), ("judge", 1), ("failures", 0), ("search_seed", 0)):
+        if (number := getattr(options, name)) < least:
+            raise SettingsError(complaint(_WHERE, f"--{name.replace('_', '-')}", f"at least {least}", number))
+    if not any(options.fault) and not options.parameter and len(options.seed) * len(options.scenario) == 1:
         raise SettingsError(
             complaint(_WHERE, "--fault", "a fault or a parameter with a range, or several seeds", "none")
         )

@@ -74,10 +74,14 @@ def _set(fault: Fault, name: str, value: float) -> Fault:
 
 
 def _numbers(fault: Fault) -> list[tuple[str, bool]]:
-    """Return the names of a fault's numbers other than 0, and whether each is a whole one."""
+    """Return names of a fault's numbers and whether each is whole, but for a 0 that does nothing or has no scale."""
     own = fault.settings
     kinds = {one.name: one.type for one in fields(own)}
-    return [(name, kind is int) for name, kind in kinds.items() if kind in (int, float) and getattr(own, name)]
+    return [
+        (name, kind is int)
+        for name, kind in kinds.items()
+        if kind in (int, float) and (getattr(own, name) or own.IDLE.get(name, 0.0) not in (0.0, math.inf, None))
+    ]
 
 
 @dataclass(frozen=True, slots=True)

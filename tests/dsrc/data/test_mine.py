@@ -110,6 +110,10 @@ def test_a_map_without_conflicts_is_one_line(tmp_path: Path) -> None:
         mine(road, tmp_path / "out")
     with pytest.raises(SettingsError, match="count: expected at least 1, found 0"):
         mine(road, tmp_path / "out", count=0)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "road.net.xml").write_text("<net/>", encoding="utf-8")
+    with pytest.raises(SettingsError, match=r"other/road\.net\.xml: file: expected that of .*, found another"):
+        mine(road, tmp_path / "other")
     with pytest.raises(ScenarioError, match="lta_truck: network: expected a map"):
         mine(load_scenario("lta_truck"), tmp_path / "out")
     assert not (tmp_path / "out").exists()

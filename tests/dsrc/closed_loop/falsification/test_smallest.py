@@ -15,7 +15,9 @@ def crashes(faults: Faults) -> bool:
     return late or any(one.kind == "brake_gain" and one.value < 0.5 for one in there)
 
 
-@pytest.mark.parametrize("text", ["brake_gain:0.1 + fog:3", "fog:3 + brake_gain:0.1 from 1 s to 8 s + loss:0.2"])
+@pytest.mark.parametrize(
+    "text", ["brake_gain:0.1 + fog:3", "brake_gain:0", "fog:3 + brake_gain:0.1 from 1 s to 8 s + loss:0.2"]
+)
 def test_what_does_not_matter_is_left_out_shortened_and_weakened(text: str) -> None:
     (left,) = smallest(parse_faults(text), crashes, END_S)
     assert left.kind == "brake_gain" and crashes((left,))
