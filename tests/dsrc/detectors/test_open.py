@@ -138,7 +138,7 @@ def test_shares_and_view_take_them(own: str, tmp_path: Path) -> None:
     model = open_model(tmp_path / "data", own)
     assert "Densest" in model.sources[0].sets
     levelled = open_model(tmp_path / "data", own, height="auto").sources[0].sets["Densest"]
-    assert isinstance(levelled, ComputedSet) and isinstance(levelled.detector, LevelledDetector)
+    assert isinstance(levelled, ComputedSet) and isinstance(levelled.detector.open(), LevelledDetector)
 
 
 def test_a_changed_class_is_another_detector(own: str, tmp_path: Path) -> None:

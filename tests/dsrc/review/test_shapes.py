@@ -115,6 +115,6 @@ def test_ground_of_two_large_triangles_is_drawn_below_the_roads() -> None:
     mesh = trimesh.Trimesh(np.concatenate([corners, road]), [[0, 1, 2], [0, 2, 3], [4, 5, 6]], process=False)
     mesh.face_attributes["material"] = np.array([names.index(m) for m in ("ground", "ground", "asphalt")], np.uint8)
     parts = {p.name: p for p in split_by_material(mesh, np.zeros(3), np.array([[10.0, 20.0]]), 50.0)}
-    assert {name: len(p.faces) for name, p in parts.items()} == {"roads": 1, "green": 2}
-    assert parts["green"].vertices[:, 2].max() < parts["roads"].vertices[:, 2].min() - 0.2
+    assert {name: len(p.faces) for name, p in parts.items()} == {"roads": 1, "ground": 2}
+    assert parts["ground"].vertices[:, 2].max() < parts["roads"].vertices[:, 2].min() - 0.2
     assert not split_by_material(mesh, np.zeros(3), np.array([[900.0, 900.0]]), 50.0)
