@@ -153,9 +153,9 @@ def test_an_agents_body_and_its_points_have_one_colour(opened: Opened, theme: st
     )
     session.place_camera("bev")
     session.wait_drawn(PATIENCE_S)
-    bodies = opened.image()
+    bodies = opened.image()  # dark channels of lit roofs are up to nine steps brighter
     for row in (0, 1):
-        assert shown(bodies, palette.AGENT_COLORS[row], 8) > 10, f"roof of agent {row}"
+        assert shown(bodies, palette.AGENT_COLORS[row], 12) > 10, f"roof of agent {row}"
 
 
 def test_the_address_bar_shows_the_link_and_a_reload_restores_the_page(opened: Opened) -> None:

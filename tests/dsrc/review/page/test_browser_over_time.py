@@ -23,11 +23,11 @@ def test_a_click_on_a_plot_goes_to_its_instant_again_and_again(model: ReviewMode
             opened = Opened(app, page)
             opened.page.wait_for(f"{PLOT}?.textContent.includes('distance, m')", 30.0)
             for share, row in ((0.5, 6), (0.99, 11), (0.5, 6)):
-                opened.place_of(PLOT)
+                opened.resting_place_of(PLOT)
                 x, y, width = page.evaluate(
                     f"(()=>{{const r={PLOT}.getBoundingClientRect();return [r.x,r.y,r.width]}})()"
                 )
-                opened.click(x + share * width, y + 30.0)
+                opened.press(x + share * width, y + 30.0)
                 wait_for(lambda row=row: opened.session.state.frame == row)
                 opened.session.update(frame=1)
                 opened.session.wait_drawn()
