@@ -13,7 +13,7 @@ from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.types import Driver, Outcome, Perception
 from sensors.recording.encounter_check import with_proven_encounter
 from sim.catalog.load import load_scenario
-from sim.errors import SettingsError, TrafficError, complaint
+from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario
 from sim.traffic.base import DrivableTraffic
 from sim.world.standing import open_standing
@@ -71,10 +71,14 @@ class TeamLoop:
         scenario = with_proven_encounter(self.base, seed)
         self._traffic = traffic = open_standing(scenario, seed)
         try:
-            egos = choose_egos(traffic, scenario, len(self.loops))
-        except TrafficError:
+            self._board(traffic, scenario, seed)
+        except BaseException:
             self.close()
             raise
+
+    def _board(self, traffic: DrivableTraffic, scenario: Scenario, seed: int) -> None:
+        """Choose the egos, and let all perceive for the first time."""
+        egos = choose_egos(traffic, scenario, len(self.loops))
         if len(egos) > 1:
             names = [traffic.actors.name[traffic.actors.row(ego)] for ego in egos]
             named = dict.fromkeys([*names, *scenario.agents.named])

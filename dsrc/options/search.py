@@ -24,7 +24,7 @@ class SearchOptions(msgspec.Struct, frozen=True):
         checkpoint: detector file; default: the shipped one.
         fault: faults as dsrc drive takes them, with LOW..HIGH in place of numbers, such as 'control_delay:0..1 from
             1..6 s for 0.5..4 s'; each text is tried by itself; default: none, the parameters alone.
-        parameter: parameters of the encounter, NAME for its usual range or NAME=LOW..HIGH; default: as it draws them.
+        parameter: parameters of the encounter, NAME for the range it is drawn from or NAME=LOW..HIGH; default: none.
         channel: radio channel.
         seed: seeds of the episodes.
         driver: driver, see dsrc drive; default: planning.
@@ -41,7 +41,7 @@ class SearchOptions(msgspec.Struct, frozen=True):
     scenario: Positional[Annotated[tuple[str, ...], arg(metavar="SCENARIO [...]")]] = ()
     perception: Annotated[str, choice(PERCEPTIONS)] = "truth"
     fast: Annotated[str | None, choice(PERCEPTIONS)] = None
-    judge: Annotated[int, Meta(ge=1)] = 10
+    judge: int = 10
     checkpoint: File | None = None
     fault: Annotated[tuple[str, ...], arg(metavar="FAULT [...]")] = ()
     parameter: Annotated[tuple[str, ...], arg(metavar="NAME[=LOW..HIGH] [...]")] = ()
@@ -51,6 +51,6 @@ class SearchOptions(msgspec.Struct, frozen=True):
     duration_s: float | None = None
     detect_every_s: float | None = None
     optimizer: Annotated[tuple[OptimizerName, ...], Meta(min_length=1)] = ("tpe",)
-    budget: Annotated[int, Meta(ge=1)] = 60
-    search_seed: Annotated[int, Meta(ge=0)] = 0
-    failures: Annotated[int, Meta(ge=0)] = 5
+    budget: int = 60
+    search_seed: int = 0
+    failures: int = 5

@@ -95,12 +95,16 @@ class ProcessDriver:
         self._lock = threading.Lock()
         self._lanes: LaneMap | None = None
         self._seen: SeenSpace | None = None
+        self.name = ""
         self._open()
 
     def _open(self) -> None:
         self._line = ProcessLine(self.text, "driver")
         question = {"type": "hello", "protocol": PROTOCOL, "role": "driver"}
         hello = self._line.ask(question, {}, _Hello, max(START_S, self._answer_s))[0]
+        if self.name not in ("", hello.name):  # episodes are kept under the first name
+            self._line.close()
+            raise self._line.wrong("name", self.name, hello.name)
         self.name, self._wants = hello.name, hello.wants
 
     def reset(self, lanes: LaneMap | None) -> None:

@@ -231,7 +231,7 @@ class Space:
 
 
 def parameters_of(texts: Sequence[str], scenarios: Mapping[str, Scenario]) -> tuple[Dimension, ...]:
-    """Return the dimensions of parameters of encounters: `NAME` for its usual range, or `NAME=LOW..HIGH`.
+    """Return the dimensions of parameters of encounters: `NAME` for the range it is drawn from, or `NAME=LOW..HIGH`.
 
     Raises:
         SettingsError: a scenario is no encounter or has no such parameter, or a range is none of it.
@@ -250,7 +250,8 @@ def parameters_of(texts: Sequence[str], scenarios: Mapping[str, Scenario]) -> tu
                 )
                 raise SettingsError(complaint("search", "parameter", expected, name, did_you_mean(name, tuple(known))))
             one = known[name]
-            low, high = one.draw
+            own_draw = content.conflict.parameters.get(name) if content.conflict is not None else None
+            low, high = own_draw if isinstance(own_draw, tuple) else one.draw
             if given:
                 match = _RANGE.fullmatch(given)
                 low, high = (float(match["low"]), float(match["high"])) if match else (math.nan, math.nan)

@@ -118,8 +118,13 @@ def reliability_curves(rows: Sequence[Row]) -> Figure:
             label = f"{method}, ECE {100 * bins.error:.1f} %"
             axes.plot(bins.score, bins.precision, color=style.color, linestyle=style.dashes, linewidth=2, label=label)
             size = 8.0 + 120.0 * bins.count / max(bins.count.max(), 1)
-            axes.scatter(bins.score, bins.precision, s=size, color=style.color, zorder=3)
-        axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="score", ylabel="precision, clean (bird's-eye IoU 0.5)")
+            axes.scatter(bins.score, bins.precision, s=size, color=style.color, zorder=3, clip_on=False)
+        axes.set(
+            xlim=(0, 1),
+            ylim=(0, 1.02),
+            xlabel="score; dots grow with the number of detections",
+            ylabel="precision, clean (bird's-eye IoU 0.5)",
+        )
         add_legend(figure, axes)
     return figure
 

@@ -89,3 +89,16 @@ def test_wrong_teams_are_refused() -> None:
         TeamLoop("four_way", [eyes], [Racer(), Racer()])
     with pytest.raises(TrafficError, match="expected 99 cars or vans to drive"):
         team_of(99).start(0)
+
+
+def test_a_start_that_fails_leaves_no_traffic_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    team = team_of(1, duration_s=0.3)
+
+    def fails() -> None:
+        raise MemoryError("no memory left")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(team.loops[0], "look", fails)
+        with pytest.raises(MemoryError):
+            team.start(0)
+    assert team.run(0) == (Outcome.TIMEOUT,), "one simulation runs in a process"

@@ -142,6 +142,16 @@ decide(1.0)
     assert loop.run(1) is Outcome.TIMEOUT and loop.message == ""
 
 
+def test_a_process_that_comes_back_under_another_name_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "drive.py"
+    text = program(tmp_path, "sys.exit(1)")
+    loop = ClosedLoop(ROAD, open_perception("truth"), open_driver(text), LoopSettings(duration_s=1))
+    assert loop.run(1) is Outcome.DRIVER_FAILED
+    path.write_text(path.read_text().replace('"name": "toy"', '"name": "another"'))
+    for _ in range(2):
+        assert loop.run(1) is Outcome.DRIVER_FAILED and "name: expected toy, found another" in loop.message
+
+
 def test_what_is_no_driver_is_refused(tmp_path: Path) -> None:
     for text, words in {
         "plannin": "did you mean 'planning'?",

@@ -1,5 +1,6 @@
 """Texts of faults with ranges, parameters of encounters, and the points that optimisers make of them."""
 
+import msgspec
 import pytest
 
 from dsrc.closed_loop.falsification.optimizers import OptimizerName, open_optimizer
@@ -48,6 +49,13 @@ def test_a_parameter_has_the_range_of_its_encounter_or_one_within_what_it_takes(
     scenarios = {"lta_truck": load_scenario("lta_truck")}
     usual, given = parameters_of(("conflict_mps", "jitter_s=-0.2..0.4"), scenarios)
     assert usual.low < usual.high and (given.low, given.high) == (-0.2, 0.4)
+    truck = scenarios["lta_truck"]
+    assert truck.conflict is not None
+    narrow = msgspec.structs.replace(
+        truck, conflict=msgspec.structs.replace(truck.conflict, parameters={"conflict_mps": (9.0, 9.5)})
+    )
+    (drawn,) = parameters_of(("conflict_mps",), {"narrow": narrow})
+    assert (drawn.low, drawn.high) == (9.0, 9.5)
     for text, complaint in (
         ("jitter_s=-9..9", "expected a range LOW..HIGH within -0.5..0.5, found -9..9"),
         ("jitters", "expected a parameter of the encounter 'lta_truck', found jitters; did you mean 'jitter_s'?"),
