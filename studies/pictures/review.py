@@ -38,7 +38,8 @@ for(const page of [document,...[...document.querySelectorAll('iframe')].map(cell
  page.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')
 """
 TO_ERRORS = """
-[...document.querySelectorAll('p')].find(e=>e.innerText.includes('errors'))?.scrollIntoView({block:'start'})
+[...document.querySelectorAll('p')].find(e=>e.innerText.includes('errors'))?.scrollIntoView({block:'start'});
+scrollTo(0,0);document.body.scrollTop=0
 """
 
 

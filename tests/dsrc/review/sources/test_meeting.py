@@ -85,6 +85,6 @@ def test_the_plots_of_an_episode_have_the_gap_and_the_contact() -> None:
     state = ReviewState(**model.opening(0))
     assert (state.frame, state.object_id) == (9, EGO_ID + 1)
     svg = over_time(model, state, model.view(state))
-    for text in (">gap, m<", ">time to collision, s<", "wanted 0.0", "acceleration 0.0", ">contact<"):
+    for text in (">gap, m<", ">time to collision, s<", "wanted 0.0", "real 0.0", ">contact<"):
         assert text in svg
     assert math.isclose(float(svg.split("gap, m<tspan")[1].split("> ")[1].split("<")[0]), 22.0, abs_tol=0.1)
