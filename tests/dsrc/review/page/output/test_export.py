@@ -210,6 +210,8 @@ def test_a_page_and_its_picture_show_the_frame_that_their_text_names(drive: Fake
                 if key == "middle":
                     for kind in ("mousePressed", "mouseReleased"):
                         opened.send("Input.dispatchMouseEvent", type=kind, x=500, y=385, button="left", clickCount=1)
+                    # A key that a script presses may overtake the mouse, a user's cannot.
+                    opened.wait_for("document.getElementById('review-time').textContent.startsWith('frame 2')", 60.0)
                 else:
                     opened.evaluate(KEY.replace("__KEY__", key))
             opened.evaluate("new Promise(done=>setTimeout(done,1500))")
