@@ -38,9 +38,10 @@ for(const page of [document,...[...document.querySelectorAll('iframe')].map(cell
  page.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')
 """
 TO_ERRORS = """
-[...document.querySelectorAll('p')].find(e=>e.innerText.includes('errors'))?.scrollIntoView({block:'start'});
-scrollTo(0,0);document.body.scrollTop=0
+[...document.querySelectorAll('p')].find(e=>e.innerText.includes('errors'))?.scrollIntoView({block:'start'})
 """
+SCENE_IN_PLACE = "for(let e=document.querySelector('canvas');e;e=e.parentElement)e.scrollTop=0"
+"""Scrolling a panel moves the scene behind it, too."""
 
 
 def picture_of_page(
@@ -70,6 +71,7 @@ def picture_of_page(
             prepare(sessions[0], page)
             for session in sessions:
                 session.wait_drawn(PATIENCE_S)
+            page.evaluate(SCENE_IN_PLACE)
             time.sleep(5.0)
             write_file(out, signed_picture(page.png()))
     finally:
@@ -99,11 +101,11 @@ def show_lab(title: str) -> Callable[[Session, BrowserPage], None]:
 
 
 def show_errors(session: Session, page: BrowserPage) -> None:
-    """Detect in all frames and go to the first missed object."""
+    """Detect in all frames and go to the worst false box."""
     session.detect_all()
     while session.detecting():
         time.sleep(0.5)
-    go_to_error(session, 1, "missed")
+    go_to_error(session, 1, "false")
     time.sleep(2.0)
     page.evaluate(TO_ERRORS)
 

@@ -48,6 +48,8 @@ SETTLE_S = 2.0
 """Time for which a browser builds the first picture, s."""
 POINT_SIZE_M = 0.1
 """Side of a drawn point, m: thinned clouds need larger ones."""
+VIVID = 60
+"""Least difference between the channels of a colour that means something, of 255."""
 POINT_STEP_M = 1.0 / 32.0
 """Rounding of points, m: the resolution of float16 beyond 32 m; saves a quarter of the page."""
 # viser sends no pose that is zero, and a page that goes back to its start would keep the last one.
@@ -164,10 +166,12 @@ def write_animation(images: Iterable[NDArray[np.uint8]], out: Path, interval_s: 
     from PIL import Image
 
     arrays = list(images)
-    # One palette for all: with one for each the colours of what stands still flicker. By coverage: a median cut spends
-    # its colours on the many pixels of the ground, and those of boxes are 40 of 255 off.
-    sample = Image.fromarray(np.vstack([arrays[0], arrays[len(arrays) // 2], arrays[-1]]))
-    colors = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=2)
+    # One palette for all: with one for each the colours of what stands still flicker. Half of its pixels are the vivid
+    # ones of all pictures, those of boxes: the near neutral ground would take all colours, and a box may come late.
+    pixels = np.concatenate([one.reshape(-1, 3) for one in (arrays[0], arrays[len(arrays) // 2], arrays[-1])])
+    vivid = np.concatenate([one[np.ptp(one, axis=-1) > VIVID] for one in arrays])
+    sample = pixels if not len(vivid) else np.concatenate([pixels, np.resize(vivid, pixels.shape)])
+    colors = Image.fromarray(sample[None]).quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=2)
     frames = [Image.fromarray(one).quantize(palette=colors, dither=Image.Dither.NONE) for one in arrays]
     content = io.BytesIO()
     pause_ms = max(round(1e3 * interval_s), 20)

@@ -59,6 +59,16 @@ def test_thin_lines_keep_their_colours_above_a_ground_of_many_greens(tmp_path: P
         assert np.abs(read[50 * (number + 1), 20:280] - colour).max() <= 24
 
 
+def test_a_box_of_one_picture_keeps_its_colour_on_a_neutral_ground(tmp_path: Path) -> None:
+    grey = np.random.default_rng(0).normal(200.0, 14.0, (120, 200, 1)).clip(0, 255).astype(np.uint8)
+    pictures = [np.repeat(grey, 3, axis=2) for _ in range(5)]
+    pictures[1][50:53, 20:60] = palette.FP
+    with Image.open(write_animation(pictures, tmp_path / "view.gif", 0.1)) as gif:
+        gif.seek(1)
+        read = np.asarray(gif.convert("RGB")).astype(int)
+    assert np.abs(read[50:53, 20:60] - palette.FP).max() <= 24
+
+
 def test_a_wrong_link_is_told_before_a_browser_opens(model: ReviewModel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dsrc.review.page.output.export.open_page", lambda *_: pytest.fail("a browser was opened"))
     with pytest.raises(SettingsError, match="link: frame: expected 0 to 11"):
