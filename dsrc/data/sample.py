@@ -174,8 +174,10 @@ def make_sample(
     shift = np.eye(4)
     shift[0, 3] = -ahead_m
     ego_from_world = shift @ invert(ego.sweep.world_from_lidar)
-    truth = frame.truth.transform(ego_from_world)
-    region = None if frame.region is None else frame.region.transform(ego_from_world)
+    # Who errs about where it is sees others where they are: truth is relative to the ego's true place.
+    true_from_world = shift @ invert((recorded or frame).agents[rows[0]].sweep.world_from_lidar)
+    truth = frame.truth.transform(true_from_world)
+    region = None if frame.region is None else frame.region.transform(true_from_world)
     eligible = users_in(truth, asked.users) & counted(truth, asked.judged_m, region)
     if not asked.keep_ego_box:
         eligible &= truth.object_id != ego.agent_id

@@ -4,6 +4,7 @@
     corruption = ["paper_six"]
     family = ["physical", "paper"]    # tables of each; default: physical
     severity = [3]
+    fault = ["fog:3 on helpers + loss:0.3"]   # a line of the tables each; default: none
     channel = ["ideal"]
     frames = 300                      # of each dataset, evenly spread; default: all
 
@@ -49,6 +50,7 @@ from msgspec.structs import replace
 
 from dsrc.detectors.levelled import check_height
 from dsrc.detectors.texts import NO_COMMAND, is_there, kind_of, split_name, stem_of
+from dsrc.faults.condition import faults_of, frame_condition, settled
 from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions, Comparison
 from dsrc.options.fields import RENAMED
@@ -195,9 +197,10 @@ class Case:
         return self.agents is not None or bool(self.pose_error or self.delay_s or self.loss)
 
     def spec(self) -> ChannelSpec:
-        """Settings of the channel, those of the sweep included."""
+        """Settings of the channel, those of the sweep and of faults that act on all messages included."""
         swept = self.loss or None, self.delay_s or None, self.pose_error or None
-        return Radio.parse(self.channel).changed(*swept).spec()
+        channel = settled(faults_of(self.condition), self.channel).channel
+        return Radio.parse(channel).changed(*swept).spec()
 
 
 def read_benchmark(path: Path) -> Benchmark:
@@ -326,7 +329,7 @@ def check(plan: Benchmark, where: str) -> None:
     check_numbers(where, plan.seed, plan.frames)
     if not plan.severity:
         raise SettingsError(complaint(where, "severity", "at least one", "none"))
-    conditions_of(plan.corruption, plan.severity, plan.family, plan.corrupted_agents, where)
+    plan_conditions(plan, where)
     try:
         for channel in plan.channel:
             get_channel(channel)
@@ -364,6 +367,19 @@ def available(plan: Benchmark) -> tuple[Benchmark, list[str]]:
     return plan, absent
 
 
+def plan_conditions(plan: Comparison, where: str = "benchmark") -> list[Condition]:
+    """Return the conditions of a plan: clean, corruptions, then faults.
+
+    Args:
+        where: begins the messages of errors.
+
+    Raises:
+        SettingsError: as `conditions_of` and `frame_condition`.
+    """
+    corrupted = conditions_of(plan.corruption, plan.severity, plan.family, plan.corrupted_agents, where)
+    return [*corrupted, *dict.fromkeys(frame_condition(text, where) for text in plan.fault)]
+
+
 def cases_of(plan: Benchmark) -> list[Case]:
     """Cases of a benchmark, each once."""
     return list(dict.fromkeys(_cases(plan)))
@@ -373,7 +389,7 @@ def _cases(plan: Benchmark) -> Iterator[Case]:
     trained = [(method.name, row) for method in plan.methods for row in range(len(method.detectors))]
     for dataset in plan.datasets:
         for channel in plan.channel:
-            for condition in conditions_of(plan.corruption, plan.severity, plan.family, plan.corrupted_agents):
+            for condition in plan_conditions(plan):
                 for name, row in trained:
                     yield Case(name, row, dataset.name, condition, channel)
     sweeps = plan.sweeps

@@ -14,8 +14,9 @@ from dsrc.data.drives import Drive, labelled_frames
 from dsrc.data.sample import Sample, SampleDetector, SampleRequest, counted, first_agents, make_sample
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
+from dsrc.faults.condition import faults_of, radio_faults
 from dsrc.models.channel import Receiver
-from sensors.corruptions import Condition, drive_seed
+from sensors.corruptions import Condition, drive_seed, ego_of
 from sensors.frame import Frame
 from sim.errors import DataError, complaint
 from sim.radio import ChannelSpec, Link
@@ -89,11 +90,14 @@ def evaluate_drive(
     read = lru_cache(maxsize=3)(reader.read)
     records = {(condition, method.name): _Record() for condition, methods in work.items() for method in methods}
     receivers: dict[str, Receiver] = {}
-    for methods in work.values():
+    ego_id = ego_of(read(positions[0]))
+    for condition, methods in work.items():
         for method in methods:
             if method.channel is not None and method.receives and method.name not in receivers:
                 settings = method.detector.settings
-                receivers[method.name] = Receiver(method.channel, own_seed, interval_of(reader), settings)
+                spec, step_s = method.channel, interval_of(reader)
+                faulted = radio_faults(faults_of(condition), spec, step_s, ego_id)
+                receivers[method.name] = Receiver(spec, own_seed, step_s, settings, faulted=faulted)
     for i in positions:
         recorded = FrameHistory(read, i)
         for condition, methods in work.items():

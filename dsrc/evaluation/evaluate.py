@@ -104,6 +104,7 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
         family=(config.family,),
         corrupted_agents=config.corrupted_agents,
         channel=config.radios(config.channel) or (IDEAL,),
+        fault=config.fault,
         seed=config.seed,
         frames=config.frames,
         differences=tuple(DifferenceSpec(method=first, baseline=other) for other in others),

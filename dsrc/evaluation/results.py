@@ -22,8 +22,9 @@ class Row:
 
     Attributes:
         method: name as shown.
-        condition: `clean`, a corruption, or a summary: `mean_ap` over clean and all corruptions, `mce`.
-        severity: of the corruption, 1 to 5; 0 for clean and for summaries.
+        condition: `clean`, a corruption, the text of faults, or a summary: `mean_ap` over clean and all corruptions,
+            `mce`.
+        severity: of the corruption, 1 to 5; 0 for clean, faults and summaries.
         frames: number of frames.
         truth: number of ground-truth boxes.
         detections: number of detected boxes.
@@ -90,7 +91,7 @@ def summary_rows(rows: Sequence[Row]) -> list[Row]:
     for method in methods_of(rows):
         own = {row.condition: row for row in rows if row.method == method}
         clean = own.get(CLEAN)
-        corrupted = {kind: row for kind, row in own.items() if kind not in (CLEAN, MEAN_AP, MCE)}
+        corrupted = {kind: row for kind, row in own.items() if row.severity}
         if clean is None or not corrupted:
             continue
         for condition, formula in ((MEAN_AP, mean_ap), (MCE, mce)):
@@ -124,6 +125,6 @@ def metric_of(row: Row | None, name: str) -> float:
 
 
 def condition_title(condition: str) -> str:
-    """Title of a condition in tables and figures."""
+    """Title of a condition in tables and figures; of faults the text, as it is read again."""
     titles = {MEAN_AP: "mean AP", MCE: "mCE", MEAN_CORRUPTED: "mean of the corruptions"}
-    return titles.get(condition, condition.replace("_", " "))
+    return titles.get(condition, condition if ":" in condition else condition.replace("_", " "))

@@ -19,7 +19,7 @@ from dsrc.detectors.open import close_detector, detector_sha256, open_detector
 from dsrc.detectors.texts import kind_of
 from dsrc.evaluation.cache import CellSettings, read_cell, read_settings
 from dsrc.evaluation.cells import CellJob, make_cells
-from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of
+from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of, plan_conditions
 from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
 from dsrc.evaluation.metrics.calibration import IOU, choice_metrics
@@ -180,7 +180,7 @@ def run_plan(
     datasets = {d.name: [r for folder in d.drives for r in _readers(folder)] for d in plan.datasets}
     positions = {name: frame_positions(readers, plan.frames, judged) for name, readers in datasets.items()}
     drives = {name: {str(r.drive): r.digest() for r in readers} for name, readers in datasets.items()}
-    conditions = conditions_of(plan.corruption, plan.severity, plan.family, plan.corrupted_agents)
+    conditions = plan_conditions(plan)
     for name, readers in datasets.items():
         for error in _refusals(readers, positions[name], conditions, plan.seed).values():
             raise error

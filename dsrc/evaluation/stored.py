@@ -8,6 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, read_table_file
+from dsrc.faults.condition import condition_of
 from sensors.corruptions import EVERYONE, Condition, Family
 from sim.errors import DataError, complaint
 from sim.files import write_file
@@ -46,7 +47,7 @@ class StoredRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Attributes:
         method: name as shown.
         training: number of the training of a method, from 0.
-        kind, severity, family, who: condition of the sweeps, see `Condition`.
+        kind, severity, family, who: condition of the sweeps, see `condition_of`.
         channel: name of the radio channel.
         swept: other swept quantities and their values, as `2 agents`; "" for none.
         detector: SHA-256 of the detector, see `dsrc.detectors.open.detector_sha256`.
@@ -71,7 +72,7 @@ class StoredRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     @property
     def condition(self) -> Condition:
         """Condition of the sweeps."""
-        return Condition.of(self.kind, self.severity, self.family, self.who)
+        return condition_of(self.kind, self.severity, self.family, self.who)
 
 
 class StoredIndex(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

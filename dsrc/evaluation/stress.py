@@ -57,9 +57,9 @@ class StressRow:
     """A condition.
 
     Attributes:
-        corruption: kind, or `clean`.
-        who: corrupted agents; "" of clean frames.
-        severity: 0 of clean frames.
+        corruption: kind, `clean`, or the text of faults.
+        who: corrupted agents; "" of clean frames and faults.
+        severity: 0 of clean frames and faults.
         ap: average precision at a bird's-eye IoU of 0.5; NaN without true boxes.
         low, high: its interval.
         false_per_frame: wrong detections of a score of at least 0.3.
@@ -137,7 +137,7 @@ class Stress:
 
     def critical(self, rows: Sequence[StressRow]) -> int | None:
         """Return the critical severity among rows; None where there is none."""
-        return next((row.severity for row in rows if row.ap < self.share * self.clean.ap), None)
+        return next((row.severity for row in rows if row.severity and row.ap < self.share * self.clean.ap), None)
 
 
 @takes_fields(Stressing)
@@ -176,7 +176,7 @@ def _plans(config: Stressing) -> list[Benchmark]:
     if all(len(drive.agents) == 1 for drive in drives):
         groups = tuple(who for who in groups if who not in ("ego", "helpers")) or ("all",)  # they are all, or none
     fitting = fitting_kinds("stress", config.corruption, config.family, drives)
-    plans = []
+    plans: list[Benchmark] = []
     for who in groups:
         kinds = [kind for kind in fitting if _fits(kind, who)]
         plan = Benchmark(
@@ -187,6 +187,7 @@ def _plans(config: Stressing) -> list[Benchmark]:
             severity=QUICK_SEVERITIES if config.quick and config.severity == (1, 2, 3, 4, 5) else config.severity,
             family=(config.family,),
             corrupted_agents=who,
+            fault=() if plans else config.fault,
             frames=min(config.frames or QUICK_FRAMES, QUICK_FRAMES) if config.quick else config.frames,
             seed=config.seed,
         )
@@ -232,11 +233,11 @@ def _row(one: _Judged, weights: NDArray[np.float32]) -> StressRow:
     spread = resampled_ap(RankedDetections.of(matches, (IOU,)), weights)[0]
     interval: Interval = percentile_interval(spread, matches.frames)
     right = matches.matched["bev", IOU] >= 0
-    clean = condition.kind == CLEAN
+    level = condition.severity
     return StressRow(
         corruption=condition.kind,
-        who="" if clean else condition.agents_text,
-        severity=0 if clean else condition.severity,
+        who=condition.agents_text if level else "",
+        severity=level,
         ap=entry.row.metrics["ap_bev_50"],
         low=interval.low,
         high=interval.high,
@@ -289,14 +290,14 @@ def _write(out: Path, found: Stress, results: Sequence[BenchmarkResult]) -> None
     indices = [stored_index(one, [(e, one.trained[e.case.method][0]) for e in one.entries]) for one in results]
     runs = {(run.kind, run.severity, run.who): run for index in indices for run in index.runs}
     write_index(out, replace(indices[0], runs=tuple(runs.values())))
-    if found.curves():
+    if any(row.severity for row in found.rows):
         write_figure(out / "stress.png", stress_curves(found), found.made_by)
 
 
 def stress_table(found: Stress) -> Table:
     """Table of corruptions and groups of agents, the most harmful first."""
     curves, clean = found.curves(), found.clean
-    levels = sorted({row.severity for row in found.rows[1:]})
+    levels = sorted({row.severity for row in found.rows if row.severity})
     columns = [Column("agents", align="left"), *(Column(f"severity {level}") for level in levels)]
     columns += [Column("worst, 95 %", align="left"), Column("critical"), Column("false boxes"), Column("ECE", digits=2)]
     lines = [
@@ -341,7 +342,7 @@ def _span(row: StressRow) -> str:
 
 def stress_curves(found: Stress) -> Figure:
     """Draw AP over severity, a panel for each corruption, a curve for each group of agents."""
-    curves, columns = found.curves(), 3
+    curves, columns = {key: rows for key, rows in found.curves().items() if rows[0].severity}, 3
     kinds = list(dict.fromkeys(kind for kind, _ in curves))
     styles = styles_of(list(dict.fromkeys(who for _, who in curves)))
     high = -(-len(kinds) // columns)
@@ -374,7 +375,7 @@ def junit(found: Stress, fail_under: float | None) -> bytes:
     """
     cases = []
     for row in found.rows:
-        name = f"{row.corruption} {row.severity} {row.who}".strip() if row.severity else CLEAN
+        name = f"{row.corruption} {row.severity} {row.who}".strip() if row.severity else row.corruption
         failed = fail_under is not None and fails(row, fail_under)
         why = f"AP@{IOU:g} {row.ap:.4f} is below {fail_under:g}" if failed else ""
         cases.append(Case("dsrc.stress", name, "failure" if why else "passed", why, f"AP@{IOU:g} {_span(row)}"))

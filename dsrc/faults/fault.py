@@ -68,8 +68,8 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
         return float(getattr(self.settings, self.settings.__struct_fields__[0]))
 
     def at(self, time_s: float) -> bool:
-        """Whether it is there at a time of the episode, s."""
-        return self.from_s - _SLACK_S <= time_s < self.to_s - _SLACK_S
+        """Whether it is there at a time of the episode, s; at infinity, where time has no meaning: whether always."""
+        return self.always if time_s == inf else self.from_s - _SLACK_S <= time_s < self.to_s - _SLACK_S
 
     def on(self, agent_id: int, ego_id: int) -> bool:
         """Whether it acts on an agent."""

@@ -44,7 +44,7 @@ class SensorFaults:
             time_s: of the episode; infinity where time has no meaning: what grows is grown.
         """
         for number, fault in enumerate(self._faults):
-            there = fault.at(time_s) or (fault.always and time_s == math.inf)
+            there = fault.at(time_s)
             if isinstance(fault.settings, Severity):
                 present = [agent.agent_id for agent in frame.agents]
                 frame = fault.condition.among(present).apply(frame, self._seed, ego_id) if there else frame
@@ -56,7 +56,8 @@ class SensorFaults:
             frame = frame.with_sweeps(sweeps)
         if not self._lost:
             return frame
-        return frame.with_sweeps([self._mislocated(agent, ego_id, time_s) for agent in frame.agents])
+        own_s = frame.time_s if time_s == math.inf else time_s
+        return frame.with_sweeps([self._mislocated(agent, ego_id, own_s) for agent in frame.agents])
 
     def _mislocated(self, agent: AgentFrame, ego_id: int, time_s: float) -> Sweep:
         """Return the sweep of an agent at the place where it believes to be."""

@@ -16,6 +16,7 @@ from dsrc.options.fields import (
     Data,
     Disturbed,
     Family,
+    FaultTexts,
     File,
     Folder,
     choice,
@@ -63,6 +64,8 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
         out: folder of results.csv, results.json, plots and cached cells with all detections, which dsrc view opens; an
             interrupted evaluation resumes.
         corruption: kinds of corruption; paper_six are those of the paper's tables; clean frames are always evaluated.
+        fault: faults, each text a condition of its own: a corruption with its severity, or what else is wrong with
+            sensors, poses and radio, with its numbers and agents, as in 'fog:3 on helpers + loss:0.3'; default: none.
         seed: seed of corruptions and channels.
         frames: frames to evaluate, evenly spread; default: all.
         ego_alone: also evaluate the first detector without collaborators.
@@ -79,6 +82,7 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
     data: Data
     out: Folder
     corruption: Kinds = ("paper_six",)
+    fault: FaultTexts = ()
     seed: int = 0
     frames: int | None = None
     ego_alone: bool = True
@@ -132,6 +136,8 @@ class Stressing(msgspec.Struct, frozen=True, kw_only=True):
         severity: severities of each, 1 to 5.
         corrupted_agents: groups of agents whose sweeps are corrupted, each by itself.
         family: models of the corruptions.
+        fault: faults, each text a condition of its own: a corruption with its severity, or what else is wrong with
+            sensors, poses and radio, with its numbers and agents, as in 'fog:3 on helpers + loss:0.3'; default: none.
         share: share of the clean average precision below which a severity is critical.
         quick: 12 frames and severities 1, 3 and 5.
         frames: frames to evaluate, evenly spread; default: all.
@@ -148,6 +154,7 @@ class Stressing(msgspec.Struct, frozen=True, kw_only=True):
     severity: tuple[int, ...] = (1, 2, 3, 4, 5)
     corrupted_agents: Annotated[tuple[str, ...], Meta(min_length=1)] = ("all", "ego", "helpers")
     family: Family = "physical"
+    fault: FaultTexts = ()
     share: float = 0.5
     quick: bool = False
     frames: int | None = None
@@ -214,6 +221,8 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
         family: models of the corruptions: of physical causes, or as published in papers; tables of each.
         corrupted_agents: agents whose sweeps are corrupted, by word or by their ids; weather at some alone is a
             counterfactual: it acts on their sensors and nowhere else.
+        fault: faults, each text a condition of its own: a corruption with its severity, or what else is wrong with
+            sensors, poses and radio, with its numbers and agents, as in 'fog:3 on helpers + loss:0.3'; default: none.
         channel: radio channels; the tables show ideal, where every message arrives and bytes are counted.
         frames: frames of each dataset to evaluate, evenly spread; default: all.
         seed: seed of corruptions and channels.
@@ -223,6 +232,7 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     severity: tuple[int, ...] = (3,)
     family: Annotated[tuple[Family, ...], Meta(min_length=1)] = ("physical",)
     corrupted_agents: AgentsText = "all"
+    fault: FaultTexts = ()
     channel: Annotated[Channels, Meta(min_length=1)] = ("ideal",)
     frames: int | None = None
     seed: int = 0

@@ -6,7 +6,7 @@ import msgspec
 from tyro.conf import Positional, arg
 
 from dsrc.options.detection import AutoEngine
-from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, File, changed_radios, choice
+from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, FaultTexts, File, changed_radios, choice
 
 DRIVERS = ("planning", "anticipating", "careful", "MODULE:CLASS", "PROCESS")
 NO_DEFENCE = "none"
@@ -62,7 +62,7 @@ class DriveOptions(msgspec.Struct, frozen=True):
     loss: float | None = None
     delay_s: float | None = None
     pose_error: float | None = None
-    fault: Annotated[tuple[str, ...], arg(metavar="FAULT [...]")] = ()
+    fault: FaultTexts = ()
     defence: Annotated[tuple[str, ...], choice((NO_DEFENCE, *DEFENCES), several=True)] = ()
     seed: tuple[int, ...] = ()
     engine: AutoEngine = "auto"

@@ -30,6 +30,9 @@ Family = Literal["physical", "paper"]
 AgentsText = Annotated[str, arg(metavar="{all,ego,helpers,ID[,ID...]}")]
 """Agents whose sweeps are corrupted, see `sensors.corruptions.parse_agents`."""
 
+FaultTexts = Annotated[tuple[str, ...], arg(metavar="FAULT [...]")]
+"""Texts of faults, see `dsrc.faults.fault`."""
+
 # Lists of choices for help texts, so that help needs no heavy import; the functions decide, tests compare.
 CORRUPTIONS = (
     "beam_missing",

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
+from dsrc.faults.condition import condition_of
 from dsrc.review.sources.base import DriveSource, Setup, Source
 from dsrc.review.sources.detected import corrupted_frame
 from dsrc.review.sources.history import DriveHistory
@@ -235,7 +236,7 @@ class Recordings:
 
     def setup(self, state: ReviewState) -> Setup:
         """Setup of the detections under a state."""
-        condition = Condition.of(
+        condition = condition_of(
             state.corruption, state.severity, state.family, state.corrupted_agents, state.parameters
         )
         return Setup(condition, state.ego_id, state.cooperative)

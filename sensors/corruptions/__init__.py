@@ -13,6 +13,7 @@ from sensors.corruptions.apply import (
     corrupt_frame,
     corruption_rng,
     drive_seed,
+    ego_of,
     parse_agents,
     require_agents,
 )
@@ -55,6 +56,7 @@ __all__ = [
     "corruption_kinds",
     "corruption_rng",
     "drive_seed",
+    "ego_of",
     "kinds_of",
     "parse_agents",
     "register_corruption",

@@ -197,6 +197,11 @@ def surface_points(sweep: Sweep) -> int:
     return int(np.count_nonzero(sweep.object_id != ADDED))
 
 
+def ego_of(frame: Frame) -> int:
+    """Return the id of the ego where nobody is named: the first vehicle in the order of the folders, else agent."""
+    return frame.agents[_ego_row(frame.agents, None)].agent_id
+
+
 def _ego_row(agents: tuple[AgentFrame, ...], ego_id: int | None) -> int:
     """Return the row of the ego; -1 if it is not an agent."""
     if ego_id is None:

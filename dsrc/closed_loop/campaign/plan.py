@@ -32,7 +32,6 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from dsrc.closed_loop.campaign.disturbance import Disturbance, settled
 from dsrc.closed_loop.campaign.episode import EpisodeJob
 from dsrc.closed_loop.driving.open import driver_sha256, open_driver
 from dsrc.closed_loop.loop import LoopSettings
@@ -50,6 +49,7 @@ from dsrc.closed_loop.perception.open import (
 )
 from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
+from dsrc.faults.condition import Disturbance, settled
 from dsrc.faults.fault import Faults, faults_text, parse_faults
 from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import NO_DEFENCE, DriveOptions

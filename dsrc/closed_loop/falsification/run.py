@@ -16,7 +16,6 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from dsrc.closed_loop.campaign.disturbance import settled
 from dsrc.closed_loop.campaign.episode import EpisodeJob, EpisodeResult, episode_key
 from dsrc.closed_loop.campaign.plan import Campaign, campaign_of, check, episodes_of
 from dsrc.closed_loop.campaign.run import EPISODES
@@ -26,6 +25,7 @@ from dsrc.closed_loop.falsification.smallest import neighbours, smallest
 from dsrc.closed_loop.falsification.space import Candidate, Dimension, Space, Template, parameters_of, tidy
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.types import Outcome
+from dsrc.faults.condition import settled
 from dsrc.faults.fault import Faults, faults_text
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields

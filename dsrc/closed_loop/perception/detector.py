@@ -16,6 +16,7 @@ from dsrc.closed_loop.perception.senses import Senses
 from dsrc.closed_loop.seen_space import SeenSpace, View, seen_of
 from dsrc.closed_loop.types import EgoState, Percept, Told
 from dsrc.data.sample import Sample, SampleDetector, make_sample
+from dsrc.faults.condition import radio_faults
 from dsrc.faults.fault import Faults
 from dsrc.models.channel import Receiver
 from dsrc.models.device import one_thread
@@ -27,7 +28,7 @@ from sensors.recording.encounter_check import BRAKING_MPS2
 from sim.boxes import VEHICLES, Boxes
 from sim.errors import SettingsError, complaint
 from sim.geometry import invert
-from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link, changed_spec
+from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
@@ -101,14 +102,13 @@ class DetectorPerception:
         self._past.clear()
         interval_s = max(self._interval_s, scenario.step_s)
         joined = [part.settings for part in getattr(self.detector, "detectors", ())[1:]]
-        radio = [fault for fault in self.faults if fault.radio]
         self._receiver = Receiver(
             self.channel,
             seed,
             interval_s,
             self.detector.settings,
             joined,
-            partial(_faulted, self.channel, tuple(radio), interval_s, ego_id) if radio else None,
+            radio_faults(self.faults, self.channel, interval_s, ego_id),
         )
 
     @property
@@ -211,15 +211,6 @@ def _objects(found: Detections, world_from_sample: NDArray[np.float64]) -> Objec
 def _detections(message: Message, world_from_sample: NDArray[np.float64]) -> Detections:
     objects = message.objects
     return Detections(objects.boxes.transform(invert(world_from_sample)), objects.score.astype(np.float32))
-
-
-def _faulted(spec: ChannelSpec, faults: Faults, interval_s: float, ego_id: int, index: int, sender: int) -> ChannelSpec:
-    """Return the settings of the messages that an agent sends in an instant; the first instant of an episode is 1."""
-    time_s = (index - 1) * interval_s
-    for fault in faults:
-        if fault.at(time_s) and fault.on(sender, ego_id):
-            spec = changed_spec(spec, fault.radio)
-    return spec
 
 
 def _shift_m(speed_mps: float, look_ahead_s: float, reach_m: float) -> float:

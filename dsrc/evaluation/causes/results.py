@@ -17,6 +17,8 @@ from dsrc.evaluation.detect import MethodResult
 from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.evaluation.runner import CaseResult, TrainedDetector
 from dsrc.evaluation.stress import IOU, SURE
+from dsrc.faults.condition import faults_of
+from dsrc.faults.fault import Fault
 from dsrc.tables.files import Scalar, csv_text
 from dsrc.tables.table import Column, Table, TableRow
 from sensors.corruptions import drive_seed
@@ -61,7 +63,7 @@ def write_causes(
             asked = request, int(table.ego_id[0])
             if asked not in teams:
                 teams[asked] = tuple(frame.agents[one].agent_id for one in participants(frame, asked[1], request))
-            moved = condition.kind == _POSES
+            moved = condition.kind == _POSES or any(_moves(fault) for fault in faults_of(condition))
             known = Circumstances(
                 "" if condition.kind == "clean" else condition.label,
                 condition.apply(frame, drive_seed(seed, drive.drive.name)) if moved else None,
@@ -79,6 +81,10 @@ def write_causes(
                 records[number].append({**who, **place, **distance, **made, **lists})
     lines = [record for number in range(len(entries)) for record in records[number]]
     write_file(out / FILE, csv_text(lines, _COLUMNS, made_by))
+
+
+def _moves(fault: Fault) -> bool:
+    return fault.kind == _POSES or fault.what.place == "localisation"
 
 
 def cause_tables(out: Path) -> list[Table]:

@@ -11,7 +11,7 @@ from dsrc.evaluation.results import CLEAN, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
 from dsrc.models.settings import ModelSettings
 from dsrc.tables.table import Stat
-from sensors.corruptions import EVERYONE, Family
+from sensors.corruptions import CORRUPTIONS, EVERYONE, Family
 from sim.radio import IDEAL
 
 PAPER_SEVERITY = 3
@@ -53,7 +53,9 @@ class DatasetResults:
         return cls(
             dataset,
             result.trained,
-            tuple(entry for entry in rows if entry.case.condition.family == family or _is_clean(entry)),
+            tuple(
+                entry for entry in rows if entry.case.condition.family == family or not entry.case.condition.severity
+            ),
             PAPER_SEVERITY if PAPER_SEVERITY in plan.severity or not plan.severity else plan.severity[0],
             IDEAL if IDEAL in plan.channel else plan.channel[0],
             family,
@@ -95,9 +97,13 @@ class DatasetResults:
         return {name: settings for name, settings in found.items() if isinstance(settings, ModelSettings)}
 
     def kinds(self) -> list[str]:
-        """Kinds of corruption, in their order."""
+        """Kinds of corruption, then texts of faults, in their order."""
         found = dict.fromkeys(entry.case.condition.kind for entry in self.entries)
         return [kind for kind in found if kind != CLEAN]
+
+    def corruptions(self) -> list[str]:
+        """Kinds of corruption, of which the summaries are."""
+        return [kind for kind in self.kinds() if kind in CORRUPTIONS]
 
     def found(
         self,
@@ -112,9 +118,13 @@ class DatasetResults:
         loss: float = 0.0,
     ) -> list[CaseResult]:
         """Results of a method, one per training in their order."""
-        level = 0 if kind == CLEAN else severity or self.severity
-        wanted = (method, kind, level, channel or self.channel, agents, pose_error, delay_s, loss)
-        return [entry for entry in self.entries if _place(entry.case) == wanted]
+        level = severity or self.severity
+        wanted = (method, kind, channel or self.channel, agents, pose_error, delay_s, loss)
+        return [
+            entry
+            for entry in self.entries
+            if _place(entry.case) == wanted and entry.case.condition.severity in (0, level)
+        ]
 
     def rows(self, method: str, kind: str = CLEAN, **picks: Any) -> list[Row]:
         """Rows of a method, one per training in their order; `picks` as in `found`."""
@@ -129,7 +139,7 @@ class DatasetResults:
     ) -> tuple[Stat, ...]:
         """Mean and spread over trainings of `mce` or `mean_ap`, computed for each training by itself."""
         clean = self.rows(method)
-        corrupted = {kind: self.rows(method, kind) for kind in self.kinds()}
+        corrupted = {kind: self.rows(method, kind) for kind in self.corruptions()}
         if not corrupted:
             return tuple(Stat(math.nan) for _ in names)
         return tuple(
@@ -143,18 +153,13 @@ class DatasetResults:
         )
 
 
-def _is_clean(entry: CaseResult) -> bool:
-    return entry.case.condition.kind == CLEAN
-
-
 def _marks() -> Iterator[str]:
     """Yield footnote marks: four signs, then each of them twice, and so on."""
     return (mark * times for times in count(1) for mark in "†‡.¶")
 
 
 def _place(case: Case) -> tuple[object, ...]:
-    condition = case.condition
     return (
-        *(case.method, condition.kind, condition.severity, case.channel, case.agents),
+        *(case.method, case.condition.kind, case.channel, case.agents),
         *(case.pose_error, case.delay_s, case.loss),
     )

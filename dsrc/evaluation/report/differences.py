@@ -228,8 +228,8 @@ def _metrics(results: DatasetResults, method: str, weights: NDArray[np.float32])
         kind: np.stack([resampled_ap(e.ranked, weights) for e in results.found(method, kind) if e.ranked is not None])
         for kind in (CLEAN, *results.kinds())
     }
-    if results.kinds():
-        clean, corrupted = found[CLEAN], np.stack([found[kind] for kind in results.kinds()])
+    if results.corruptions():
+        clean, corrupted = found[CLEAN], np.stack([found[kind] for kind in results.corruptions()])
         lost = np.divide(clean - corrupted, clean, out=np.full(corrupted.shape, math.nan), where=clean > 0)
         found |= {MEAN_CORRUPTED: corrupted.mean(axis=0), MCE: lost.mean(axis=0)}
     return found

@@ -206,13 +206,13 @@ def _dataset(
         sheet = table_1(results)
         writer.table(sheet, table_heatmap(sheet), suffix)
         writer.table(table_1(results, opencood=True), suffix=suffix)
-        if len(plan.severity) > 1 and results.kinds():
+        if len(plan.severity) > 1 and results.corruptions():
             sheet = severity_table(results, sorted(plan.severity))
             places = [0, *sorted(plan.severity)]
             writer.table(sheet, table_lines(sheet, "severity, 0 for clean", places, styles), suffix)
         if family in tables:
             _write_differences(writer, tables[family], f"differences{suffix}", one_pair=len(plan.differences) == 1)
-        if results.kinds():
+        if results.corruptions():
             title = f"mCE against mean AP, {results.titled}"
             writer.figure(f"figure_5{suffix}", robustness_scatter(mean_rows(results, trained), styles, title), title)
     writer.table(choice_sheet(first))
@@ -247,7 +247,7 @@ def mean_rows(results: DatasetResults, methods: Sequence[str]) -> list[Row]:
             return Row(method, condition, 0, first.frames, first.truth, 0, metrics)
 
         rows += [row(kind, results.ap(results.rows(method, kind))) for kind in (CLEAN, *results.kinds())]
-        if results.kinds():
+        if results.corruptions():
             rows += [row(MEAN_AP, results.summary(method, mean_ap)), row(MCE, results.summary(method, mce))]
     return rows
 

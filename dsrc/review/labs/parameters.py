@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from sensors.corruptions import CLEAN, CORRUPTIONS, Changes, Family
+from sensors.corruptions import CORRUPTIONS, Changes, Family
 from sensors.corruptions.physics.levels import SEVERITIES
 from sim.errors import SettingsError, complaint, did_you_mean
 
@@ -40,7 +40,7 @@ class CorruptionParameter:
 
 @lru_cache(maxsize=256)
 def parameters_of(kind: str, severity: int, family: Family = "physical") -> tuple[CorruptionParameter, ...]:
-    """Parameters of a corruption at a severity, first those that tell the severities apart; none for `clean`.
+    """Parameters of a corruption at a severity, first those that tell the severities apart; none without one.
 
     A number reaches from its least value to twice that of the strongest severity, within the bounds of the settings.
     What the settings leave to the sensor (None) is left to it.
@@ -48,7 +48,7 @@ def parameters_of(kind: str, severity: int, family: Family = "physical") -> tupl
     Args:
         family: of the settings; one without a model of the kind gives no parameters.
     """
-    if kind == CLEAN or (family == "paper" and CORRUPTIONS[kind].paper_settings is None):
+    if kind not in CORRUPTIONS or (family == "paper" and CORRUPTIONS[kind].paper_settings is None):
         return ()
     table = CORRUPTIONS[kind].settings_of(family)
     levels = [table.severity(level) for level in SEVERITIES]

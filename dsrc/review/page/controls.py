@@ -129,6 +129,13 @@ def _carriers(shown: Shown) -> dict[str, Any]:
     return {"ego": "ego", "pole": "pole", **{agent.title: str(agent.agent_id) for agent in agents}}
 
 
+def _corruptions(shown: Shown) -> dict[str, Any]:
+    """Corruptions, and what stored detections are of beside them: faults."""
+    sets = shown.model.sources[shown.state.drive].sets.values()
+    stored = (condition.kind for one in sets for condition in one.conditions() or ())
+    return {kind: kind for kind in (CLEAN, *CORRUPTIONS, *stored)}
+
+
 def _corruptible(shown: Shown) -> dict[str, Any]:
     """Agents that a corruption may be of: all, some by their part, each alone, and those of the link."""
     agents = () if shown.view is None else shown.view.agents
@@ -180,7 +187,7 @@ CONTROLS: tuple[Control, ...] = (
     Control("frame", Slider(0, lambda s: s.model.frame_count(s.state.drive) - 1, 1), "Frame", link="frame"),
     Control("object_id", Choice(_objects, closed=False), "Object", "Selection", link="object"),
     Control("detection", None, link="detection"),
-    Control("corruption", Choice(_same(CLEAN, *CORRUPTIONS)), "Corruption", "Corruption lab", link="corruption"),
+    Control("corruption", Choice(_corruptions), "Corruption", "Corruption lab", link="corruption"),
     Control("severity", Slider(1, 5, 1), "Severity", "Corruption lab", link="severity", enabled=_corrupted),
     Control("family", Choice(_same(*FAMILIES)), "Settings", "Corruption lab", link="family", enabled=_corrupted),
     Control(

@@ -134,6 +134,30 @@ def test_clean_only_and_cooperative_only(world: Path) -> None:
     assert not (world / "clean" / "mce_map.png").exists()
 
 
+def test_a_fault_is_a_row_and_one_that_says_a_corruption_or_a_channel_has_its_numbers(world: Path) -> None:
+    mixed = "beam_missing:3 on helpers + blocked:120 on ego"
+    config = config_of(world, "faults", corruption=("fog",), fault=("fog:3", mixed, "delay:0.1"), ego_alone=False)
+    rows = evaluate_drives(config)
+    kinds = ["clean", "fog", "fog:3", mixed, "delay:0.1"]
+    assert list(dict.fromkeys(row.condition for row in rows)) == [*kinds, "mean_ap", "mce"]
+    by_kind = {row.condition: row for row in rows if row.method == "DSRC"}
+    assert by_kind["fog:3"].metrics == by_kind["fog"].metrics != by_kind[mixed].metrics
+    mean = (by_kind["clean"].metrics["ap_bev_50"] + by_kind["fog"].metrics["ap_bev_50"]) / 2
+    assert by_kind["mean_ap"].metrics["ap_bev_50"] == pytest.approx(mean), "summaries are of corruptions"
+    runs = {run.kind: run for run in read_index(config.out).runs if run.method == "DSRC"}
+    assert runs["fog:3"].cells == runs["fog"].cells and len({run.cells for run in runs.values()}) == 4
+    late = config_of(world, "delayed", corruption=("clean",), delay_s=0.1, ego_alone=False)
+    assert evaluate_drives(late)[0].metrics == by_kind["delay:0.1"].metrics != by_kind["clean"].metrics
+
+
+def test_a_fault_that_a_frame_cannot_have_stops_an_evaluation_before_its_work(world: Path) -> None:
+    with pytest.raises(SettingsError, match=r"^evaluate: fault 'loss:0.3 from 2 s': expected none of from, to and for"):
+        evaluate_drives(config_of(world, "timed", fault=("loss:0.3 from 2 s",)))
+    with pytest.raises(DataError, match=r"drive_0: frame 0: fault 'frame_drop:1 on 77': expected ids among the agents"):
+        evaluate_drives(config_of(world, "stranger", fault=("frame_drop:1 on 77",)))
+    assert not (world / "timed").exists() and not (world / "stranger" / "cells").exists()
+
+
 def test_what_the_sweeps_do_not_take_is_left_out_of_a_group_or_refused_before_the_work(
     world: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

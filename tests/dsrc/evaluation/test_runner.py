@@ -15,7 +15,9 @@ from dsrc.evaluation import cells, runner
 from dsrc.evaluation.cache import CellSettings, read_cell
 from dsrc.evaluation.config import Benchmark, DifferenceSpec, MethodSpec, ParameterSweeps
 from dsrc.evaluation.detect import Method
+from dsrc.evaluation.report.dataset_results import DatasetResults
 from dsrc.evaluation.report.report import provenance_of, write_report
+from dsrc.evaluation.report.tables import table_1
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from dsrc.models.detector import Detector
 from dsrc.models.storage.checkpoint import load_student, save_detector
@@ -117,6 +119,19 @@ def test_an_interrupted_run_resumes_to_the_same_bytes(
     assert deaths >= 3
     write_report(result, out)
     assert files(out) == whole
+
+
+def test_a_fault_is_a_column_of_every_table_and_no_part_of_the_summaries(root: Path) -> None:
+    mixed = "fog:2 on helpers + loss:0.5"
+    plan = make_plan(root, {"A": [("dsrc", 0)]}, corruption=("fog",), family=("physical", "paper"), fault=(mixed,))
+    result = run_plan(plan, root / "faults")
+    write_report(result, root / "faults")
+    for family in plan.family:
+        results = DatasetResults.of(result, "made up", family)
+        assert (results.kinds(), results.corruptions()) == (["fog", mixed], ["fog"])
+        table, (line,) = table_1(results), table_1(results).rows
+        (place,) = (row for row, one in enumerate(table.columns) if one.title == mixed.capitalize())
+        assert line.cells[place][0].mean == results.rows("A", mixed)[0].metrics["ap_bev_50"]
 
 
 def test_finished_cells_are_not_computed_again(done: tuple[Path, BenchmarkResult], plan: Benchmark) -> None:

@@ -112,6 +112,20 @@ def test_the_command_exits_with_1_below_the_bound(found: Stress, world: Path) ->
     assert dsrc(*words, "--fail-under", "0", "--junit", str(world / "stress.xml")).returncode == 0
 
 
+def test_a_fault_is_a_line_without_severities_and_with_the_numbers_of_its_corruption(world: Path) -> None:
+    mixed = "point_dropping:5 on helpers + loss:1"
+    config = config_of(
+        world, "faults", severity=(5,), corruption=("point_dropping",), fault=("point_dropping:5", mixed)
+    )
+    found = stress(config)
+    rows = {(one.corruption, one.who, one.severity): one.ap for one in found.rows}
+    assert rows["point_dropping:5", "", 0] == rows["point_dropping", "all", 5] != rows[mixed, "", 0]
+    line = next(line for line in stress_table(found).rows if line.label == mixed)
+    assert line.cells[:2] == ("", "-") and line.cells[3] == "-"
+    names = [case.get("name") for case in ElementTree.fromstring(junit(found, None))]
+    assert names[0] == "clean" and {mixed, "point_dropping 5 all"} <= set(names)
+
+
 def test_settings_out_of_range_are_refused(world: Path) -> None:
     with pytest.raises(SettingsError, match=r"stress: share: expected more than 0, less than 1, found 1\.5"):
         stress(config_of(world, "x", share=1.5))

@@ -10,16 +10,21 @@ import pytest
 from dsrc.evaluation.detection_table import join_tables
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.evaluation.metrics.ap import evaluate
+from dsrc.faults.condition import frame_condition
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Evaluation
+from dsrc.review.frames import Recordings
+from dsrc.review.page.controls import CONTROLS, Shown
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet, corrupted_frame
 from dsrc.review.sources.opening import add_detectors, open_sources
+from dsrc.review.state import ReviewState
 from sensors.corruptions import Condition
 from sim.errors import CheckpointError, DataError, SettingsError
 from tests.dsrc.evaluation.small import write_detector, write_drives
 
 FOG = Setup(Condition("fog", 3))
+BLOCKED = Setup(frame_condition("blocked:120 on ego", "evaluate"))
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +35,12 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
         f"{name}={write_detector(root / f'{method}.pt', method)}" for name, method in (("A", "dsrc"), ("B", "attfuse"))
     ]
     config = Evaluation(
-        checkpoint=tuple(files), data=root / "test", out=root / "out", corruption=("fog",), ego_alone=False
+        checkpoint=tuple(files),
+        data=root / "test",
+        out=root / "out",
+        corruption=("fog",),
+        fault=("blocked:120 on ego",),
+        ego_alone=False,
     )
     return root, evaluate_drives(config)
 
@@ -48,13 +58,18 @@ def test_results_open_as_their_drives_with_a_set_for_each_method(done: tuple[Pat
             setup = Setup() if row.condition == "clean" else FOG
             table = join_tables([source.sets[row.method].run(setup) for source in sources])
             assert row.metrics.items() >= evaluate(table.results()).metrics().items()
-    assert sources[0].sets["A"].conditions() == (Condition(), Condition("fog", 3))
+    assert sources[0].sets["A"].conditions() == (Condition(), FOG.condition, BLOCKED.condition)
+    shown = ReviewState(corruption="blocked:120 on ego", methods=("A",))
+    model = Recordings(sources)
+    assert model.setup(shown) == BLOCKED
+    (control,) = (one for one in CONTROLS if one.field == "corruption")
+    assert "blocked:120 on ego" in control.widget.options(Shown(model, shown, None))
 
 
 def test_what_is_stored_is_what_the_detector_finds_here(done: tuple[Path, list]) -> None:
     root, _ = done
     (source, _), here = open_sources(root / "out"), ComputedSet("A", load_student(root / "dsrc.pt"))
-    for setup in (Setup(), FOG):
+    for setup in (Setup(), FOG, BLOCKED):
         for row in range(2):
             frame = source.read(row)
             corrupted = corrupted_frame(frame, setup.condition, source.seed, source.name)
