@@ -9,6 +9,7 @@ import hashlib
 import inspect
 import sys
 import textwrap
+import threading
 import uuid
 from collections.abc import Iterable, Iterator
 from functools import cache, partial
@@ -25,6 +26,8 @@ _PACKAGES = ("sim", "sensors", "dsrc")
 _BEHIND = {"sim.roads.tools": "eclipse-sumo", "trimesh": "mapbox_earcut"}
 """Packages behind modules that call them without an import: programs and roads of SUMO, and triangles of surfaces."""
 _IMPORTS = (ast.Import, ast.ImportFrom, ast.Call)
+_parsing = threading.Lock()
+"""Two threads that parse at once confuse Python 3.11's count of the depth (python/cpython#106905)."""
 _EXTENSIONS = ("dsrc.corruptions", "dsrc.fusions", "dsrc.sensors")
 """Entry point groups of packages whose code ours can call."""
 
@@ -95,7 +98,8 @@ def _code_sha256(path: Path) -> str:
 def _parsed(source: bytes) -> tuple[str, tuple[ast.AST, ...]]:
     """Return the hash of a source, and its nodes that import; none of one that is no Python."""
     try:
-        tree = ast.parse(source)
+        with _parsing:
+            tree = ast.parse(source)
     except (SyntaxError, ValueError):
         return source_hash(source), ()
     return tree_hash(tree), tuple(node for node in _run(tree, b"import_module" in source) if isinstance(node, _IMPORTS))

@@ -37,9 +37,6 @@ HIDE_NOTICES = """
 for(const page of [document,...[...document.querySelectorAll('iframe')].map(cell=>cell.contentDocument)])
  page.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')
 """
-TO_ERRORS = """
-[...document.querySelectorAll('p')].find(e=>e.innerText.includes('errors'))?.scrollIntoView({block:'start'})
-"""
 SCENE_IN_PLACE = "for(let e=document.querySelector('canvas');e;e=e.parentElement)e.scrollTop=0"
 """Scrolling a panel moves the scene behind it, too."""
 
@@ -91,23 +88,20 @@ def show_lab(title: str) -> Callable[[Session, BrowserPage], None]:
 
     def show(_: Session, page: BrowserPage) -> None:
         page.wait_for(folder, 60.0)
-        if title == "Sensor lab":
-            # It starts closed.
-            page.evaluate(f"{folder}.click()")
-            time.sleep(1.0)
+        page.evaluate(f"{folder}.click()")
+        time.sleep(1.0)
         page.evaluate(f"{folder}.scrollIntoView({{block:'start'}})")
 
     return show
 
 
-def show_errors(session: Session, page: BrowserPage) -> None:
+def show_errors(session: Session, _: BrowserPage) -> None:
     """Detect in all frames and go to the worst false box."""
     session.detect_all()
     while session.detecting():
         time.sleep(0.5)
     go_to_error(session, 1, "false")
     time.sleep(2.0)
-    page.evaluate(TO_ERRORS)
 
 
 def main() -> None:

@@ -1,10 +1,12 @@
-"""Plots over time: of a selected object, and of an episode."""
+"""Plots over time: of a selected object or box, and of an episode."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.ops.iou import bev_iou
 from dsrc.review import palette
 from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.errors.judgements import Judgements
@@ -12,7 +14,8 @@ from dsrc.review.over_time.plots import Line, Strip, plots_svg
 from dsrc.review.sources.history import Seen
 from dsrc.review.sources.moment import EpisodeTimeline
 from dsrc.review.state import ReviewState
-from dsrc.review.view import FrameView
+from dsrc.review.view import DetectionDetails, FrameView
+from sim.boxes import Boxes
 
 if TYPE_CHECKING:
     # The closed loop takes a second to import.
@@ -20,6 +23,9 @@ if TYPE_CHECKING:
 
 _NAMED = 4
 """Agents up to which plots say whose number is whose; the legend has their colours."""
+
+_ABSENT = 10
+"""Frames without an overlapping box after which a followed one has ended."""
 
 
 def over_time(model: Judgements, state: ReviewState, view: FrameView) -> str:
@@ -34,11 +40,13 @@ def over_time(model: Judgements, state: ReviewState, view: FrameView) -> str:
         met = model.meeting(state.drive)
         strips, marks = episode_strips(line, met), {} if met is None else met.marks
         edges = f"{line.time_s[0]:.1f} s", f"{line.time_s[-1]:.1f} s"
-    if (object_id := getattr(view.details, "object_id", None)) is not None:
-        seen = model.histories[state.drive].of(object_id, view.ego.agent_id)
-        method = model.method(state)
-        run = model.run(state.drive, method, model.setup(state)) if method and view.labelled else None
-        strips += object_strips(seen, run, object_id, state, view)
+    details, history, method = view.details, model.histories[state.drive], model.method(state)
+    run = model.run(state.drive, method, model.setup(state)) if details is not None and method else None
+    if isinstance(details, DetectionDetails) and details.verdict != "true positive" and run is not None:
+        strips += box_strips(run, history.lidars(view.ego.agent_id), details.rank, state)
+    elif details is not None and details.object_id is not None:
+        seen = history.of(details.object_id, view.ego.agent_id)
+        strips += object_strips(seen, run if view.labelled else None, details.object_id, state, view)
     return plots_svg(strips, (first, last), state.frame, marks, edges)
 
 
@@ -91,6 +99,53 @@ def object_strips(
         Strip("distance, m", [Line("", palette.OTHER, seen.rows, seen.distance_m)]),
     ]
     return [strip for strip in strips if strip.lines]
+
+
+def box_strips(run: JudgedRun, lidars: Mapping[int, NDArray[np.float64]], rank: int, state: ReviewState) -> list[Strip]:
+    """Score, IoU with the nearest object and distance of a box of nothing, followed over the frames.
+
+    Args:
+        run: detections of the shown method.
+        lidars: (4, 4) world poses of the ego's LiDAR by row.
+        rank: place of the box in the order of the scores of the state's frame.
+    """
+    rows = _followed(run, lidars, state.frame, rank)
+    at, score = run.table.position[run.frame_of[rows]], run.table.score[rows].astype(np.float64)
+    return [
+        Strip("score of this box", [Line("", palette.FP, at, score)], state.threshold, 1.0, 2),
+        Strip("IoU with an object", [Line("", palette.FP, at, run.nearest_iou[rows])], state.iou, 1.0, 2),
+        Strip("distance, m", [Line("", palette.OTHER, at, run.distance_m[rows])]),
+    ]
+
+
+def _followed(run: JudgedRun, lidars: Mapping[int, NDArray[np.float64]], frame: int, rank: int) -> NDArray[np.int64]:
+    """(K,) rows of the detections that overlap the last one found, to both sides of a frame, ascending.
+
+    A box that is absent for `_ABSENT` frames has ended.
+    """
+    first = np.flatnonzero((run.table.position[run.frame_of] == frame) & (run.rank == rank))
+    if frame not in lidars or not len(first):
+        return first
+    found = first.tolist()
+    known = sorted(set(run.table.position.tolist()) & set(lidars))
+    at = known.index(frame)
+
+    def in_world(rows: NDArray[np.int64], row: int) -> NDArray[np.float64]:
+        return Boxes.from_array(run.table.boxes[rows].astype(np.float64)).transform(lidars[row]).array
+
+    for ahead in (known[at + 1 :], known[:at][::-1]):
+        last, absent = in_world(first, frame), 0
+        for row in ahead:
+            here = np.flatnonzero(run.table.position[run.frame_of] == row)
+            boxes = in_world(here, row)
+            overlap = bev_iou(last, boxes).ravel()
+            if overlap.any():
+                best = int(overlap.argmax())
+                last, absent = boxes[best : best + 1], 0
+                found.append(int(here[best]))
+            elif (absent := absent + 1) == _ABSENT:
+                break
+    return np.sort(np.array(found, np.int64))
 
 
 def _judged(run: JudgedRun, object_id: int, state: ReviewState) -> list[Strip]:

@@ -228,7 +228,8 @@ class Session:
 
     def over_time(self, state: ReviewState, view: FrameView) -> str:
         """SVG of the plots over time of what is selected, as far as it is known; "" without any."""
-        if state.object_id is not None and (history := self.model.histories[state.drive]).lacking():
+        chosen = state.object_id is not None or state.detection is not None
+        if chosen and (history := self.model.histories[state.drive]).lacking():
             self.worker.read_over(history)
             self._busy = True
         with self.using_model:

@@ -34,6 +34,7 @@ class _Facts(NamedTuple):
     center: NDArray[np.float64]
     agents: tuple[int, ...]
     places: NDArray[np.float64]
+    lidars: NDArray[np.float64]
     points: NDArray[np.int32]
     visible: NDArray[np.float32]
 
@@ -62,9 +63,10 @@ class DriveHistory:
             frame = getattr(self._source, "outline", self._source.read)(row)
             truth, agents = frame.truth, frame.agents
             places = np.array([agent.world_from_body[:2, 3] for agent in agents])
+            lidars = np.array([agent.sweep.world_from_lidar for agent in agents])
             ids = tuple(agent.agent_id for agent in agents)
             facts = _Facts(
-                *(truth.object_id, truth.center[:, :2], ids, places),
+                *(truth.object_id, truth.center[:, :2], ids, places, lidars),
                 *(frame.points_on, np.asarray(frame.visible_fraction, np.float32)),
             )
         except UserError:
@@ -91,3 +93,9 @@ class DriveHistory:
                     points[agent][k] = facts.points[row, column]
                 visible[agent][k] = facts.visible[row, column] if facts.visible.size else np.nan
         return Seen(np.array([row for row, _ in known], np.int64), distance, points, visible)
+
+    def lidars(self, agent_id: int) -> dict[int, NDArray[np.float64]]:
+        """(4, 4) world poses of an agent's LiDAR by row, as far as they are read."""
+        with self._lock:
+            known = [(row, facts) for row, facts in self._facts.items() if facts and agent_id in facts.agents]
+        return {row: facts.lidars[facts.agents.index(agent_id)] for row, facts in known}

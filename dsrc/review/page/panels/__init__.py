@@ -6,8 +6,8 @@ from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
 from dsrc.review.page.panels.drawn import (
     AgentsPanel,
     DetectionsPanel,
+    LegendPanel,
     LookPanel,
-    ReportPanel,
     SelectionPanel,
     TimelinePanel,
 )
@@ -21,19 +21,19 @@ from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.protocol import Page, Panel
 
 PANELS: tuple[Callable[[Page], Panel], ...] = (
-    OverviewPanel,
+    LegendPanel,
     TimelinePanel,
-    OverTimePanel,
-    ReportPanel,
     EpisodePanel,
     SelectionPanel,
+    OverTimePanel,
+    OverviewPanel,
     NotesPanel,
+    DetectionsPanel,
     ErrorsPanel,
     GalleryPanel,
     CorruptionLabPanel,
     SensorLabPanel,
-    DetectionsPanel,
     AgentsPanel,
     LookPanel,
 )
-"""The panels, from the top of the page."""
+"""The legend, and the panels from the top of the page: a cause is read without scrolling at 1280 x 720."""

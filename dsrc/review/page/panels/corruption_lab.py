@@ -81,7 +81,7 @@ class CorruptionLabPanel:
         self._page = page
         self._shapes: tuple[Any, ...] = ()
         self.parameters: dict[str, _BoundParameter] = {}
-        with page.gui.add_folder("Corruption lab"):
+        with page.gui.add_folder("Corruption lab", expand_by_default=False):
             self.controls = build_controls("Corruption lab", page)
             self._folder = page.gui.add_folder("Parameters", visible=False)
             self.reset = page.gui.add_button("Parameters of the severity", visible=False)

@@ -1,10 +1,12 @@
-"""Timeline, report, selection, agents and folders: panels that show the drawn frame or rows of the controls alone."""
+"""Timeline, legend, selection, agents and folders: panels that show the drawn frame or rows of the controls alone."""
 
 from dsrc.review.page.controls import Control, Switch
 from dsrc.review.page.panels.widgets import BoundControl, build_controls, set_fields
 from dsrc.review.page.protocol import Page, Shown
 from dsrc.review.texts import frame_report, legend, notice_text, selection_report
 
+_LEGEND_PX = 290
+"""Width of the legend, px: half of a window of 700 px."""
 _STEPS = {"−10": -10, "−1": -1, "+1": 1, "+10": 10}
 
 
@@ -27,30 +29,35 @@ class TimelinePanel:
         set_fields(self.play, label="Pause" if self._page.playing else "Play")
 
 
-class ReportPanel:
-    """Table of TP, FP, FN, precision and recall, and why it is missing."""
+class LegendPanel:
+    """Window over the scene, which stays where the panel is folded: what the frame counts, and what colours mean."""
 
     def __init__(self, page: Page) -> None:
-        """Build it, empty."""
-        self.text = page.gui.add_markdown("")
-        self.notice = page.gui.add_markdown("", visible=False)
+        """Build it at the lower left, empty."""
+        window = page.gui.add_panel()
+        window.float(x=12, y=-12, width=_LEGEND_PX)
+        with window.add_tab("Legend"):
+            self.text = page.gui.add_markdown("")
+            self.notice = page.gui.add_markdown("", visible=False)
+            self.legend = page.gui.add_html("")
 
     def show(self, shown: Shown) -> None:
-        """Write the report of the drawn frame."""
+        """Write the report of the drawn frame, why it is missing, and the legend."""
         if shown.view is not None:
-            self.text.content = frame_report(shown.view)
-            self.notice.content = notice_text(shown.view)
-            self.notice.visible = bool(self.notice.content)
+            set_fields(self.text, content=frame_report(shown.view))
+            notice = notice_text(shown.view)
+            set_fields(self.notice, content=notice, visible=bool(notice))
+            set_fields(self.legend, content=legend(shown.view))
 
 
 class SelectionPanel:
-    """Open folder with a list of the objects and the card."""
+    """Open folder with the card and a list of the objects."""
 
     def __init__(self, page: Page) -> None:
         """Build it with nothing selected."""
         with page.gui.add_folder("Selection"):
-            self.controls = build_controls("Selection", page)
             self.card = page.gui.add_markdown("")
+            self.controls = build_controls("Selection", page)
 
     def show(self, shown: Shown) -> None:
         """Write the card."""
@@ -62,22 +69,19 @@ class SelectionPanel:
 
 
 class AgentsPanel:
-    """Folder with the legend and one switch per agent of the frame."""
+    """Folder with one switch per agent of the frame."""
 
     def __init__(self, page: Page) -> None:
         """Build the folder; the switches come with the first frame."""
         self._page = page
-        self._folder = page.gui.add_folder("Agents and colours")
+        self._folder = page.gui.add_folder("Agents", expand_by_default=False)
         self._agents: tuple[int, ...] = ()
         self.switches: dict[int, BoundControl] = {}
-        with self._folder:
-            self.legend = page.gui.add_html("")
 
     def show(self, shown: Shown) -> None:
-        """Write the legend, and list the agents again when others are there."""
+        """List the agents again when others are there, and set their switches."""
         if shown.view is None:
             return
-        self.legend.content = legend(shown.view)
         agents = tuple(agent.agent_id for agent in shown.view.agents)
         if agents != self._agents:
             for switch in self.switches.values():

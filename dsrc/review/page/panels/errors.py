@@ -43,7 +43,7 @@ class ErrorsPanel:
         self._report: RunReport | None = None
         self._theme: Theme = page.state.theme
         gui = page.gui
-        self.folder = gui.add_folder("Errors of the run", visible=False)
+        self.folder = gui.add_folder("Errors of the run", visible=False, expand_by_default=False)
         with self.folder:
             self.progress = gui.add_markdown("")
             self.bar: Any = gui.add_progress_bar(0.0, visible=False)

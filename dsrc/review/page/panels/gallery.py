@@ -13,7 +13,7 @@ class GalleryPanel:
     def __init__(self, page: Page) -> None:
         """Build it, hidden until there is something to judge."""
         self._page = page
-        self.folder = page.gui.add_folder("Errors by cause", visible=False)
+        self.folder = page.gui.add_folder("Errors by cause", visible=False, expand_by_default=page.state.gallery)
         with self.folder:
             self.controls = build_controls("Errors by cause", page)
             self.pictures = page.gui.add_html("")

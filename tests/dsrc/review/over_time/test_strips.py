@@ -1,14 +1,20 @@
 """An object over time: what the judged detections and the frames say of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from dsrc.evaluation.detection_table import join_tables, one_frame
+from dsrc.ops.detections import Detections
+from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.model import ReviewModel
-from dsrc.review.over_time.strips import over_time
-from dsrc.review.sources.base import DriveSource
+from dsrc.review.over_time.strips import box_strips, over_time
+from dsrc.review.sources.base import DriveSource, Setup
 from dsrc.review.sources.history import MOST, DriveHistory
 from dsrc.review.state import ReviewState
 from sensors.frame import Frame
+from sim.boxes import Boxes
 from sim.errors import DataError
 from tests.dsrc.review.conftest import FakeDrive, street_frame
 
@@ -78,3 +84,34 @@ def test_points_that_a_corruption_takes_are_a_line_of_their_own(
     assert "left 60<" in over_time(model, state, view)
     clean = ReviewState(frame=4, object_id=1003)
     assert "left" not in over_time(model, clean, model.view(clean))
+
+
+def test_a_false_box_is_followed_over_the_frames_and_not_the_object_beside_it(model: ReviewModel) -> None:
+    for row in range(12):
+        model.view(ReviewState(frame=row))
+    state = ReviewState(frame=4, threshold=0.2)
+    state = replace(state, detection=model.view(state).detected - 1)
+    view = model.view(state)
+    assert view.details.verdict == "false positive"
+    read_all(model.histories[0])
+    run = model.run(0, "detector", model.setup(state))
+    strips = box_strips(run, model.histories[0].lidars(1000), view.details.rank, state)
+    score, iou, distance = (strip.lines[0] for strip in strips)
+    assert score.rows.tolist() == list(range(12))
+    np.testing.assert_allclose(score.values, 0.4)
+    assert not iou.values.any()
+    np.testing.assert_allclose(distance.values, np.hypot(10.0, 25.0), rtol=1e-6)
+    svg = over_time(model, state, view)
+    assert "score of this box" in svg and "visible" not in svg
+
+
+def test_a_false_box_that_is_gone_for_a_second_has_ended() -> None:
+    rows = [0, 1, 2, 3, 20]
+    tables = [one_frame(row, row, 1, Detections(Boxes.from_array([[9.0, 0, 0, 4, 2, 2, 0]]), np.ones(1)), Boxes.zeros())
+              for row in rows]  # fmt: skip
+    nothing = Detections(Boxes.zeros(), np.zeros(0))
+    tables[4:4] = [one_frame(row, row, 1, nothing, Boxes.zeros()) for row in range(4, 20)]
+    run = JudgedRun("detector", Setup(), join_tables(tables))
+    lidars = {row: np.eye(4) for row in range(21) if row != 2}
+    score, *_ = box_strips(run, lidars, 0, ReviewState(frame=1))
+    assert score.lines[0].rows.tolist() == [0, 1, 3], "frame 2 is not read, frame 20 is too late"

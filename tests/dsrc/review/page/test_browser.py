@@ -39,6 +39,11 @@ WORST = "[...document.querySelectorAll('a')].find(e=>e.getAttribute('href').incl
 RUN = {command.label: command.run for command in COMMANDS}
 
 
+def folder(title: str) -> str:
+    """Script that finds the head of a folder, which opens it."""
+    return f"[...document.querySelectorAll('*')].filter(e=>e.textContent.trim()==='{title}').pop()"
+
+
 class Opened:
     """A page in a browser, with the session that it belongs to."""
 
@@ -195,6 +200,7 @@ def test_keys_work_after_a_choice_in_a_dropdown(opened: Opened) -> None:
             time.sleep(1.0)
         return opened.page.evaluate(shown)
 
+    opened.click(folder("Corruption lab"))
     wait_for(opens)
     opened.click(option)
     wait_for(lambda: opened.session.state.corruption == "fog")
@@ -211,6 +217,9 @@ def test_a_click_in_the_overview_opens_the_worst_of_a_cell_and_back_leads_out_ag
     view = opened.session.wait_drawn(PATIENCE_S)
     assert view.details is not None and view.details.verdict == "missed"
     opened.page.wait_for(f"document.body.innerText.includes('car {view.details.object_id}')", PATIENCE_S)
+    cause = "[...document.querySelectorAll('p')].find(e=>e.textContent.startsWith('missed, '))"
+    lower = opened.page.evaluate(f"{cause}.getBoundingClientRect().bottom")
+    assert 0.0 < lower < SIZE[1], "the cause is read without scrolling"
     wait_for(lambda: np.linalg.norm(np.array(opened.session.client.camera.look_at) - view.selected) < 0.1)
     assert opened.page.evaluate("window.sameDocument"), "the page was loaded again"
     worst = opened.session
@@ -234,6 +243,7 @@ def test_a_click_is_not_lost_where_the_table_is_written_anew_under_the_pressed_m
 def test_a_click_on_a_picture_of_the_gallery_opens_its_error_with_its_cause(opened: Opened) -> None:
     session = opened.session
     session.update(gallery=True)
+    opened.click(folder("Errors by cause"))
     picture = (
         "[...document.querySelectorAll('a[href*=gallery]')].find(e=>e.querySelector('svg')&&e.title.includes('no box'))"
     )
@@ -315,7 +325,7 @@ def test_a_page_says_that_it_is_drawing_until_it_shows_a_frame(opened: Opened) -
     wait_for(lambda: len(opened.app.sessions) == 1)
 
 
-def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(opened: Opened) -> None:
+def test_a_narrow_window_starts_with_the_legend_alone_and_moves_no_other_browser(opened: Opened) -> None:
     first = opened.session
     place = np.array(first.client.camera.position)
     with open_page(f"{opened.app.url}/?fixedDpr=1", (700, 500)) as page:
@@ -326,7 +336,9 @@ def test_a_narrow_window_starts_without_the_panel_and_moves_no_other_browser(ope
         second.session.place_camera("bev")
         second.session.wait_drawn(PATIENCE_S)
         wait_for(lambda: "frame=7" in page.evaluate("location.search"))
-        assert "Corruption" not in page.evaluate("document.body.innerText")
+        text = page.evaluate("document.body.innerText")
+        assert "Corruption" not in text
+        assert all(word in text for word in ("Frame 7", "this frame", "true positive", "vehicle 1002"))
         time.sleep(1.0)
         assert first.state.frame == 0
         np.testing.assert_allclose(first.client.camera.position, place, atol=1e-3)

@@ -15,7 +15,7 @@ from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from tests.dsrc.review.labs.drive import small_drive
-from tests.dsrc.review.page.test_browser import PATIENCE_S
+from tests.dsrc.review.page.test_browser import PATIENCE_S, Opened, folder
 
 pytestmark = [
     pytest.mark.browser,
@@ -35,6 +35,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[BrowserPa
             (session,) = app.wait_session(1, PATIENCE_S)
             session.wait_drawn(PATIENCE_S)
             session.update(layers_off=QUIET)
+            Opened(app, page).click(folder("Corruption lab"))
             yield page, session
     finally:
         app.close()

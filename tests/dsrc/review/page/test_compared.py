@@ -7,7 +7,7 @@ from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.commands import lay_over
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
-from dsrc.review.page.panels.drawn import ReportPanel
+from dsrc.review.page.panels.drawn import LegendPanel
 from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.session import Session
 from dsrc.review.sources.detected import ComputedSet
@@ -32,7 +32,7 @@ def test_two_methods_are_drawn_over_each_other_and_told_apart(session: Session) 
     assert len(drawn["missed"].points) > 13 * len(blind.missed) > 0
     np.testing.assert_array_equal(np.unique(drawn["missed"].colors.reshape(-1, 3), axis=0), [palette.method_color(1)])
     counts = f"| blind | {blind.counts.tp} | {blind.counts.fp} | {blind.counts.fn} |"
-    wait_for(lambda: counts in panel(session, ReportPanel).notice.content)
+    wait_for(lambda: counts in panel(session, LegendPanel).notice.content)
 
 
 def test_one_method_alone_leaves_nothing_of_the_other(session: Session) -> None:

@@ -6,7 +6,7 @@ import pytest
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS
-from dsrc.review.page.panels.drawn import ReportPanel
+from dsrc.review.page.panels.drawn import LegendPanel
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.page.panels.over_time import OverTimePanel
 from dsrc.review.page.session import Session
@@ -94,7 +94,7 @@ def test_a_drive_has_no_episode(
 def test_missing_detections_are_explained(session: Session) -> None:
     session.update(corruption="fog")
     view = session.wait_drawn()
-    report = panel(session, ReportPanel)
+    report = panel(session, LegendPanel)
     assert "percepts has no detections in fog 3" in view.notice
     wait_for(lambda: report.notice.visible and report.notice.content == view.notice)
 

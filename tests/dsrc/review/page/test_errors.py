@@ -13,7 +13,7 @@ from dsrc.review.errors.notes import NoteBook
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS, go_to_error
-from dsrc.review.page.panels.drawn import ReportPanel
+from dsrc.review.page.panels.drawn import LegendPanel
 from dsrc.review.page.panels.errors import ErrorsPanel
 from dsrc.review.page.panels.notes import NotesPanel
 from dsrc.review.page.server import start_server
@@ -215,7 +215,7 @@ def test_a_panel_that_fails_keeps_no_other_from_being_set(session: Session, monk
         raise RuntimeError("no curve")
 
     with monkeypatch.context() as patch:
-        patch.setattr(panel(session, ReportPanel), "show", fails)
+        patch.setattr(panel(session, LegendPanel), "show", fails)
         session.update(object_id=1005)
         session.wait_drawn()
         wait_for(lambda: "no curve" in session._notice.content and panel(session, NotesPanel).folder.visible)

@@ -18,7 +18,7 @@ from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import toggle_corruption
 from dsrc.review.page.link import read_link, write_link
 from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
-from dsrc.review.page.panels.drawn import AgentsPanel
+from dsrc.review.page.panels.drawn import LegendPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
@@ -101,15 +101,15 @@ def test_moved_points_are_counted_as_such(session: Session, lab: CorruptionLabPa
 
 
 def test_colours_that_are_a_scale_have_a_bar(session: Session) -> None:
-    agents = panel(session, AgentsPanel)
+    legend = panel(session, LegendPanel)
     for color_by, ends in (("height", ("-0.5 m", "8 m")), ("intensity", ("0", "1"))):
         session.update(color_by=color_by)
         session.wait_drawn()
-        wait_for(lambda ends=ends: all(f"<span>{end}</span>" in agents.legend.content for end in ends))
-        assert "linear-gradient" in agents.legend.content
+        wait_for(lambda ends=ends: all(f"<span>{end}</span>" in legend.legend.content for end in ends))
+        assert "linear-gradient" in legend.legend.content
     session.update(color_by="agent")
     session.wait_drawn()
-    wait_for(lambda: "linear-gradient" not in agents.legend.content)
+    wait_for(lambda: "linear-gradient" not in legend.legend.content)
 
 
 def test_the_ego_is_named_and_others_when_they_are_selected(session: Session) -> None:

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import viser
 
 import dsrc.review.page.session as session_module
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS
 from dsrc.review.page.controls import CONTROLS
-from dsrc.review.page.panels.drawn import AgentsPanel, ReportPanel, SelectionPanel, TimelinePanel
+from dsrc.review.page.panels.drawn import AgentsPanel, LegendPanel, SelectionPanel, TimelinePanel
 from dsrc.review.page.scene import Clicked
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
@@ -101,7 +102,27 @@ def test_another_ego_is_selected_by_name(session: Session, detector: FakeDetecto
 
 def test_the_report_counts_what_is_drawn(session: Session) -> None:
     counts = session.view.counts
-    assert f"| this frame | {counts.tp} | {counts.fp} | {counts.fn} |" in panel(session, ReportPanel).text.content
+    assert f"| this frame | {counts.tp} | {counts.fp} | {counts.fn} |" in panel(session, LegendPanel).text.content
+
+
+def open_controls(session: Session) -> list[str]:
+    """Labels of what can be set or pressed without opening a folder."""
+
+    def is_open(container: str) -> bool:
+        folder = session.gui._container_handle_from_uuid[container]
+        if not isinstance(folder, viser.GuiFolderHandle):
+            return True
+        return folder.visible and folder.expand_by_default and is_open(folder._impl.parent_container_id)
+
+    handles = session.gui._gui_input_handle_from_uuid.values()
+    shown = [one for one in handles if one.visible and is_open(one._impl.parent_container_id)]
+    return [one.label for one in shown]
+
+
+def test_the_first_screen_has_twelve_controls_at_most(session: Session) -> None:
+    labels = open_controls(session)
+    assert {"Play", "Step", "Frame", "Object", "Score ≥", "IoU ≥"} <= set(labels)
+    assert len(labels) <= 12, labels
 
 
 def test_steps_stop_at_the_ends(session: Session) -> None:
