@@ -15,7 +15,7 @@ from pathlib import Path
 
 from dsrc.training.recipes import RECIPES, of_method, override
 from dsrc.training.train import train
-from studies.shipped.train import BATCH, SETTINGS, STARTS
+from studies.shipped.train import BATCH, HALF, SETTINGS, STARTS
 
 START = "unparked-plain-alone"
 FRAMES = 200
@@ -76,7 +76,7 @@ def main() -> None:
     options = parser.parse_args()
     size = (f"epochs={max(BATCH * options.steps // FRAMES, 1)}", f"epoch_frames={FRAMES}", "learning_rate=5e-4")
     recipe = override(
-        of_method(RECIPES["small"](), "no-collaboration"), (*SETTINGS, *size, "augmentation.alone=1", "workers=0")
+        of_method(RECIPES["small"](), "no-collaboration"), (*SETTINGS, *size, HALF, "augmentation.alone=1", "workers=0")
     )
     for run in RUNS:
         if options.only and run.name not in options.only:

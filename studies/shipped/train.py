@@ -16,6 +16,7 @@ from pathlib import Path
 
 import torch
 
+from dsrc.models.storage.deploy import BFLOAT16
 from dsrc.training.recipes import RECIPES, Recipe, Stage, of_method, override
 from dsrc.training.train import train
 
@@ -39,6 +40,8 @@ SETTINGS = (
 """Changes of the recipe `small`; lifts are errors of the fitted ground, thinning stands for sensors of fewer beams."""
 
 
+HALF = f"bfloat16={str(BFLOAT16 or torch.cuda.is_available()).lower()}"
+"""Change of the recipe: convolutions in bfloat16 where the machine computes it."""
 ALONE = ("no-collaboration", "dsrc-alone")
 """Methods of single vehicles: their ground truth is what these have seen."""
 
@@ -66,13 +69,14 @@ class Run:
     teacher: str = ""
 
     def recipe(self, share: float = 1.0, workers: int = 1) -> Recipe:
-        """Return its recipe, with a share of its steps; convolutions in bfloat16 where there is a GPU."""
+        """Return its recipe, with a share of its steps."""
         drawn = BATCH * max(round(self.steps * share), 1)
         frames = min(FRAMES, drawn)
         size = (f"epochs={max(drawn // frames, 1)}", f"epoch_frames={frames}", f"learning_rate={self.rate}")
         alone = "augmentation.alone=1" if self.method in ALONE else "augmentation.alone=0.4"
-        machine = (alone, f"workers={workers}", f"bfloat16={str(torch.cuda.is_available()).lower()}")
-        return override(of_method(RECIPES["small"](), self.method), (*SETTINGS, *size, *machine))
+        return override(
+            of_method(RECIPES["small"](), self.method), (*SETTINGS, *size, alone, HALF, f"workers={workers}")
+        )
 
 
 PLAN = (
