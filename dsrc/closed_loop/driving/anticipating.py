@@ -7,11 +7,13 @@ blind corner, creeps until it sees enough, and goes. Phantom agents: Y. Tian et 
 Intersections with Occlusions*; reachable sets: M. Koschi, M. Althoff, *Set-Based Prediction of Traffic Participants
 Considering Occlusions and Traffic Rules*, IEEE T-IV 2021; both and a joint planner: arXiv 2402.01507.
 
-Who is hidden behind a tracked vehicle on its own lane comes after it and is no phantom. Nobody is trusted to obey signs
-or lights. Pedestrians, who are on no lane, are not anticipated.
+What was seen a moment ago counts: nobody is expected where they cannot have come since then. Who is hidden behind a
+tracked vehicle on its own lane comes after it and is no phantom. Nobody is trusted to obey signs or lights.
+Pedestrians, who are on no lane, are not anticipated.
 """
 
 import math
+from collections import deque
 
 import msgspec
 import numpy as np
@@ -31,10 +33,11 @@ from sim.rows import stacked
 _FIRST = np.array([-6.5, -5.5, -4.5, -3.75, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.6])
 _KEPT_S = (0.3, 0.8, 1.4, 2.0, 3.0)
 """Times for which a plan keeps its first acceleration before it brakes."""
-_FREE_MPS2, _CREEP_S = 0.5, 0.5
-_STANDS_MPS, _WALKS_MPS = 0.3, 1.5
+_CREEP_MPS2, _CREEP_S = 1.0, 0.5
 _SLACK_M = 0.02
 """Way that the ego may still roll where it should stand, m: it needs some to stop."""
+_VIEWS = 4
+"""Number of newest seen spaces that count."""
 _MARGIN_M, _AMONG_M = 0.5, 1.0
 """How far into a zone it rather stops than goes on, and how far in it is among those who block it, m."""
 
@@ -50,19 +53,17 @@ class AnticipatingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
         size_m: length and width of a phantom, m.
         surely_m: distance on its own lane up to which somebody stands wherever it does not see.
         enters_s: time that a phantom needs to cross the path, or until it follows the ego.
-        waits_s: time for which it stands where it sees too little, before it creeps on.
-        creeps_mps: speed of that: whoever comes sees its nose, and it what comes.
+        creeps_mps: speed up to which it goes on where it sees too little: who comes sees its nose, and it who comes.
     """
 
-    brakes_mps2: float = 3.0
+    brakes_mps2: float = 4.0
     goes_mps2: float = 2.0
     appears_s: float = 0.4
     hides_m: float = 3.0
     size_m: tuple[float, float] = (4.6, 1.9)
     surely_m: float = 80.0
     enters_s: float = 1.0
-    waits_s: float = 1.0
-    creeps_mps: float = 1.0
+    creeps_mps: float = 2.0
 
 
 class AnticipatingDriver:
@@ -81,30 +82,24 @@ class AnticipatingDriver:
         """Begin an episode, see `PlanningDriver.reset`."""
         self._planner.reset(lanes)
         self._lanes = lanes
-        self._seen: SeenSpace | None = None
-        self._waits_since_s = math.inf
+        self._seen: deque[SeenSpace] = deque(maxlen=_VIEWS)
 
     def see(self, seen: SeenSpace) -> None:
         """Take the newest seen space."""
-        self._seen = seen
+        self._seen.append(seen)
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return the acceleration for the next step."""
+        creeps = min((self.settings.creeps_mps - ego.speed_mps) / _CREEP_S, _CREEP_MPS2)
         most = self._most(ego, tracks)
-        if most >= _FREE_MPS2 or ego.speed_mps > _WALKS_MPS:
-            self._waits_since_s = math.inf
-        elif ego.speed_mps < _STANDS_MPS:
-            self._waits_since_s = min(self._waits_since_s, ego.time_s)
-        if ego.time_s - self._waits_since_s >= self.settings.waits_s:
-            most = max(most, min((self.settings.creeps_mps - ego.speed_mps) / _CREEP_S, _FREE_MPS2))
-        return self._planner.decide(ego, tracks, most)
+        return self._planner.decide(ego, tracks, max(most, creeps) if creeps > 0.0 else most)
 
     def _most(self, ego: EgoState, tracks: Tracks) -> float:
         """Return the strongest acceleration after which it can still stop before all phantoms or be through, m/s2.
 
         Infinite without any, and where it can neither: it is among them already, and leaves.
         """
-        if self._seen is None:
+        if not self._seen:
             return math.inf
         s, planning = self.settings, self._planner.settings
         time_s = np.arange(0.0, planning.prediction.horizon_s + 1e-9, planning.prediction.step_s)
@@ -127,9 +122,10 @@ class AnticipatingDriver:
 
     def _zones(self, ego: EgoState, path: Path, tracks: Tracks, time_s: Array) -> Array:
         """Return (Z, 3) stretches of the path from, to, m, that phantoms block from a time on, s."""
-        assert self._seen is not None
         zones = []
-        behind = self._first_hidden(path.xy, tracks.boxes, path.heading, round(self.settings.hides_m / STEP_M))
+        # Who stands where nobody was seen a moment ago would have had to come there.
+        hidden = ~np.any([seen.sees(path.xy) for seen in self._seen], axis=0)
+        behind = _first_hidden(hidden, path.xy, path.heading, tracks.boxes, round(self.settings.hides_m / STEP_M))
         hidden_m = path.along[behind] if behind is not None else math.inf
         if hidden_m < self.settings.surely_m:
             zones.append((max(hidden_m - 0.5 * float(ego.box.size[0, 0]), _SLACK_M), math.inf, 0.0))
@@ -141,17 +137,24 @@ class AnticipatingDriver:
 
     def _phantoms(self, ego: EgoState, path: Path, tracks: Tracks, time_s: Array) -> Prediction | None:
         """Return where the phantoms of the conflicting lanes will be."""
-        assert self._seen is not None
         s, found = self.settings, []
         lanes = self._lanes.conflicts(np.column_stack([path.xy, path.heading])) if self._lanes is not None else ()
         for lane in lanes:
-            upstream = lane.line[lane.meets :: -1]
-            row = self._first_hidden(upstream[:, :2], tracks.boxes, upstream[:, 2], round(s.hides_m))
-            if row is None:
-                continue
-            edge = upstream[max(row - 1, 0) :][:1, :2]
-            age_s = min(max(ego.time_s - float(self._seen.seen_s(edge)[0]), 0.0), time_s[-1])
-            found.append(_coming(lane, lane.meets - row, time_s + age_s + s.appears_s, s.size_m[0]))
+            along, clock_s = _course(lane)
+            begins_s = math.inf
+            # Every view tells where nobody was at its time, hence who cannot have come nearer since than so far.
+            for seen in self._seen:
+                upstream = lane.line[lane.meets :: -1]
+                hidden = ~seen.sees(upstream[:, :2])
+                row = _first_hidden(hidden, upstream[:, :2], upstream[:, 2], tracks.boxes, round(s.hides_m))
+                if row is None:
+                    break
+                edge = upstream[max(row - 1, 0) :][:1, :2]
+                age_s = min(max(ego.time_s - float(seen.seen_s(edge)[0]), 0.0), time_s[-1])
+                begins_s = min(begins_s, clock_s[lane.meets - row] + age_s)
+            else:
+                front = np.interp(begins_s + time_s + s.appears_s, clock_s, along)
+                found.append(_coming(lane, along, front, s.size_m[0]))
         if not found:
             return None
         xy, yaw, speed = (np.stack(part) for part in zip(*found, strict=True))
@@ -159,19 +162,18 @@ class AnticipatingDriver:
         size, none = np.tile(np.array(s.size_m), (n, 1)), np.zeros(shape)
         return Prediction(time_s, xy, yaw, size, none, speed, np.zeros(shape, bool), np.arange(n), np.ones(n, bool))
 
-    def _first_hidden(self, xy: Array, others: Boxes, heading: Array, least: int) -> int | None:
-        """Return the first row of (K, 2) places that begins a hidden stretch of `least` rows.
 
-        None without one, or where a tracked road user of that heading, or a standing one, comes first.
-        """
-        assert self._seen is not None
-        hidden = ~self._seen.sees(xy)
-        whole = np.convolve(hidden, np.ones(least), "valid") >= least - 0.5
-        if not whole.any():
-            return None
-        first = int(whole.argmax())
-        known = _on(others, xy[: first + 1], heading[: first + 1])
-        return None if known.any() else first
+def _first_hidden(hidden: NDArray[np.bool_], xy: Array, heading: Array, others: Boxes, least: int) -> int | None:
+    """Return the first row of (K, 2) places that begins a hidden stretch of `least` rows.
+
+    None without one, or where a tracked road user of that heading, or a standing one, comes first.
+    """
+    whole = np.convolve(hidden, np.ones(least), "valid") >= least - 0.5
+    if not whole.any():
+        return None
+    first = int(whole.argmax())
+    known = _on(others, xy[: first + 1], heading[: first + 1])
+    return None if known.any() else first
 
 
 def _on(boxes: Boxes, xy: Array, heading: Array, margin_m: float = 1.0) -> NDArray[np.bool_]:
@@ -184,12 +186,15 @@ def _on(boxes: Boxes, xy: Array, heading: Array, margin_m: float = 1.0) -> NDArr
     return np.asarray((within & alike).any(axis=1))
 
 
-def _coming(lane: ConflictLane, row: int, time_s: Array, length_m: float) -> tuple[Array, Array, Array]:
-    """Return (T, 2) centres, (T,) headings and speeds of who has its front at a row of a lane and keeps its limits."""
+def _course(lane: ConflictLane) -> tuple[Array, Array]:
+    """Return (K,) way along a lane, m, and the time at its limits, s."""
     step = np.hypot(*np.diff(lane.line[:, :2], axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(step)])
-    clock = np.concatenate([[0.0], np.cumsum(step / np.maximum(lane.speed_mps[:-1], 0.1))])
-    front = np.interp(clock[row] + time_s, clock, along)
+    clock = np.cumsum(step / np.maximum(lane.speed_mps[:-1], 0.1))
+    return np.concatenate([[0.0], np.cumsum(step)]), np.concatenate([[0.0], clock])
+
+
+def _coming(lane: ConflictLane, along: Array, front: Array, length_m: float) -> tuple[Array, Array, Array]:
+    """Return (T, 2) centres, (T,) headings and speeds of who has its front at (T,) ways along a lane, m."""
     centre = front - 0.5 * length_m
     x, y, heading = (np.interp(centre, along, lane.line[:, axis]) for axis in range(3))
     return np.column_stack([x, y]), heading, np.interp(front, along, lane.speed_mps)

@@ -99,16 +99,33 @@ def test_where_its_own_lane_is_hidden_it_could_stop_before_at_any_time() -> None
     wall_m = 70.0
     out = decisions(Looking(lambda x: lambda xy: xy[:, 0] > wall_m, None))
     left = np.maximum(wall_m + 0.5 - 0.5 * CAR[0] - np.array(out.x), 0.0)  # its path has steps of half a metre
-    assert (np.array(out.speed) <= np.sqrt(2.0 * SETTINGS.brakes_mps2 * left) + 0.2)[:85].all()
-    assert out.speed[0] > 10.0 and min(out.speed) < 0.3 and out.hardest < 4.5
-    assert {decision.reason for decision in out.decisions[30:80]} == {"hidden"}
+    stops = np.maximum(np.sqrt(2.0 * SETTINGS.brakes_mps2 * left), SETTINGS.creeps_mps)
+    assert (np.array(out.speed) <= stops + 0.2).all()
+    assert out.speed[0] > 10.0 and out.hardest < SETTINGS.brakes_mps2 + 1.0
+    assert {decision.reason for decision in out.decisions[45:80]} == {"hidden"}
 
 
-def test_where_it_stands_and_sees_too_little_it_creeps_on() -> None:
-    out = decisions(Looking(lambda x: lambda xy: xy[:, 0] > 30.0, None))
-    stood = int(np.argmax(np.array(out.speed) < 0.3))
-    later = np.array(out.speed[stood:])
-    assert (later[:10] < 0.3).all() and 0.8 < later.max() < 1.2
+def test_where_it_sees_too_little_it_creeps_on() -> None:
+    out = decisions(Looking(lambda x: lambda xy: xy[:, 0] > 40.0, None))
+    later = np.array(out.speed[-20:])
+    assert out.x[-1] > 40.0
+    assert later == pytest.approx(np.full(20, SETTINGS.creeps_mps), abs=0.2)
+
+
+@pytest.mark.parametrize("crossing", [Crossing(), None])
+def test_who_loses_a_view_for_a_moment_does_not_brake_for_it(crossing: LaneMap | None) -> None:
+    """A view of 0.2 s in which a lane is hidden from the middle on, amid others in which it is not."""
+
+    class Blinking(Looking):
+        def see(self, seen: SeenSpace) -> None:
+            blinks = 1.0 <= seen.seen_s(np.zeros((1, 2)))[0] < 1.15
+            super().see(Shadow(blinks_at if blinks else nothing(0.0), float(seen.seen_s(np.zeros((1, 2)))[0])))
+
+    def blinks_at(xy: Array) -> NDArray[np.bool_]:
+        return np.asarray((xy[:, 0] > 45.0) & (np.abs(xy[:, 1]) < 30.0) & (np.hypot(*xy.T) > 5.0))
+
+    planned = decisions(PlanningDriver()).decisions
+    assert decisions(Blinking(nothing, crossing)).decisions == planned
 
 
 def test_behind_a_tracked_leader_nobody_is_expected() -> None:
@@ -125,7 +142,7 @@ def test_before_a_blind_corner_it_slows_down_and_goes_on_when_it_sees_enough() -
     out = run(Looking(corner(-4.0), Crossing()), speed=12.0, seconds=20.0)
     before = np.array(out.x) < CROSSES_M - 3.0
     slowest = np.array(out.speed)[before].min()
-    assert slowest < 6.0 and out.hardest < 4.5
+    assert slowest < 6.0 and out.hardest < SETTINGS.brakes_mps2 + 1.0
     assert out.x[-1] > CROSSES_M + 30.0
 
 
@@ -174,3 +191,26 @@ VEHICLES = (
 @pytest.mark.parametrize("name", VEHICLES)
 def test_with_its_own_sight_it_crashes_in_no_encounter_with_a_vehicle(name: str) -> None:
     assert [outcome(name, seed, AnticipatingDriver()) for seed in range(10, 20)] == [Outcome.ARRIVED] * 10
+
+
+def taken_s(name: str, driver: AnticipatingDriver | PlanningDriver, eyes: str, seed: int) -> float:
+    loop = ClosedLoop(name, open_perception(eyes), driver, LoopSettings(duration_s=30.0, detect_every_s=0.2))
+    assert loop.run(seed) is Outcome.ARRIVED
+    return loop.tick.actors.time_s - loop.start_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("eyes", ["truth", "sight"])
+def test_where_nothing_hides_anybody_it_is_at_most_1500_ms_slower_than_the_planner(eyes: str, name: str) -> None:
+    for seed in (10, 11, 12):
+        planned = taken_s(f"{name}:no_occluder", PlanningDriver(), eyes, seed)
+        assert taken_s(f"{name}:no_occluder", AnticipatingDriver(), eyes, seed) <= planned + 1.5
+
+
+@pytest.mark.slow
+def test_behind_corners_with_nobody_it_takes_less_than_2_s_longer_on_average() -> None:
+    drivers = (PlanningDriver, AnticipatingDriver)
+    took = [[taken_s(f"{name}:no_conflict", one(), "sight", 10) for one in drivers] for name in VEHICLES]
+    planned, expecting = np.mean(took, axis=0)
+    assert expecting < planned + 2.0
