@@ -78,9 +78,14 @@ class FrameStore:
         self._recorded: LatestUsed[Frame] = LatestUsed(kept)
         self._corrupted: LatestUsed[Frame] = LatestUsed(kept)
 
+    @property
+    def version(self) -> int:
+        """Number that changes where the source has more of frames that were read before."""
+        return getattr(self.source, "version", 0)
+
     def recorded(self, row: int) -> Frame:
         """Return a frame as recorded; raises DataError where it is damaged."""
-        return self._recorded.get(row, lambda: self.source.read(row))
+        return self._recorded.get((self.version, row), lambda: self.source.read(row))
 
     def corrupted(self, row: int, condition: Condition, ego_id: int | None = None) -> Frame:
         """Return a frame under a condition.
@@ -100,7 +105,7 @@ class FrameStore:
         of_ego = condition.agents in ("ego", "helpers") or (known is not None and known.spares_ego)
         ego = ego_id if of_ego else None
         return self._corrupted.get(
-            (row, condition, ego),
+            (self.version, row, condition, ego),
             lambda: corrupted_frame(frame, condition, self.source.seed, self.source.name, ego_id),
         )
 

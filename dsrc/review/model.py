@@ -17,6 +17,7 @@ from dsrc.review.errors.judgements import FrameDetections, Judgements
 from dsrc.review.errors.notes import NoteBook
 from dsrc.review.frames import LatestUsed
 from dsrc.review.sources.base import Source
+from dsrc.review.sources.moment import unseen_places
 from dsrc.review.sources.opening import add_detectors, open_sources
 from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
@@ -109,7 +110,10 @@ class ReviewModel(Judgements):
             labelled=self.labelled(state.drive),
             details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),
         )
-        view = replace(view, moment=self.moment(state), notice=self._absent(state, frame))
+        moment = self.moment(state)
+        if moment is not None and "seen" not in state.layers_off:
+            moment = replace(moment, unseen=unseen_places(frame.agents, ego_id))
+        view = replace(view, moment=moment, notice=self._absent(state, frame))
         found = self._detections(state, method) if method else None
         if found is None:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)
@@ -150,7 +154,8 @@ class ReviewModel(Judgements):
     ) -> tuple[AgentView, ...]:
         """Agents as drawn; the same objects while their settings stay."""
         look = state.hidden, state.color_by, state.theme, state.max_points
-        key = state.drive, state.frame, self.setup(state), ego_id, *look
+        version = self.stores[state.drive].version
+        key = state.drive, version, state.frame, self.setup(state), ego_id, *look
         rows = range(len(frame.agents))
         recorded = self.stores[state.drive].recorded(state.frame) if state.color_by == "fate" else frame
         return self._agents.get(

@@ -31,6 +31,8 @@ OTHER: Rgb = (128, 134, 142)
 TP: Rgb = (44, 165, 129)
 FP: Rgb = (172, 45, 32)
 FN: Rgb = (253, 176, 17)
+UNSEEN = (36, 40, 60, 82)
+"""Shade, with its opacity, over the road that nobody sees."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ BoxesBy = Literal["verdict", "shares"]
 """Meaning of the boxes' colours: the detector's verdict, or the agent to whom most of the score is due."""
 IOU_THRESHOLDS = (0.3, 0.5, 0.7)
 
-SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels", "plan", "tracks", "claims")
-"""Layers of the page that can be switched off; the last three are of episodes."""
-EPISODE_LAYERS = SHOWN_LAYERS[-3:]
+SHOWN_LAYERS = ("truth", "detections", "bodies", "world", "links", "labels", "plan", "tracks", "claims", "seen")
+"""Layers of the page that can be switched off; the last four are of episodes."""
+EPISODE_LAYERS = SHOWN_LAYERS[-4:]
 
 Theme = Literal["light", "dark"]
 

@@ -50,7 +50,10 @@ def moment_report(moment: EpisodeMoment, timeline: EpisodeTimeline, row: int) ->
     """Markdown of a step of an episode: what the driver does and why, what it has heard, and how it ends."""
     track = f", track {moment.decisive}" if moment.decisive >= 0 else ""
     percept = "none yet" if math.isnan(moment.percept_age_s) else f"{1e3 * moment.percept_age_s:.0f} ms old"
-    heard = f"{int(moment.links.received.sum())} of {len(moment.links.received)} messages"
+    links = moment.links
+    ages = zip(links.senders, links.received.tolist(), (1e3 * links.age_s).tolist(), strict=True)
+    told = ", ".join(f"{sender} {f'{age:.0f} ms old' if arrived else 'lost'}" for sender, arrived, age in ages)
+    heard = f"{int(links.received.sum())} of {len(links.received)} messages{f' ({told})' if told else ''}"
     lines = [
         f"**{moment.acceleration_mps2:+.1f} m/s²**, {quoted(moment.reason)}{track} · {timeline.speed_mps[row]:.1f} m/s",
         f"percept {percept} · {heard} · {len(moment.tracks)} tracks"
@@ -165,6 +168,8 @@ def legend(view: FrameView) -> str:
             (palette.FP, "message lost, dashed", False),
             (palette.FATE_COLORS[SCATTERED], "false object that a helper claims, crossed", True),
         ]
+        if view.moment.unseen is not None:
+            rows.append((palette.UNSEEN[:3], "shaded: unseen in every sweep that arrived", False))
     rows += [(rgb, text, True) for rgb, text, _ in box_legend(view)]
     lines = "".join(_legend_row(*row) for row in rows)
     return f'<div style="padding:.2em 1em .4em;font-size:.82em;line-height:1.6">{scale_bar(view.color_by)}{lines}</div>'

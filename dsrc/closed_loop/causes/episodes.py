@@ -12,7 +12,7 @@ from dsrc.closed_loop.causes.cause import Cause, InSight, cause_of
 from dsrc.closed_loop.causes.eyes import Eyes
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.error_model.model import read_model
-from dsrc.closed_loop.perception.open import ALONE, MODELLED, TEAM_SIGHT, WITHOUT_SENSOR, parse_perception
+from dsrc.closed_loop.perception.open import MODELLED, parse_perception, uses_helpers
 from dsrc.closed_loop.types import Outcome
 from dsrc.runs.executors import Progress
 from sim.files import file_sha256, write_file
@@ -40,7 +40,7 @@ def sight_of(log: EpisodeLog, cooperative: bool | None = None) -> InSight:
     Args:
         cooperative: as of `crash_cause`.
     """
-    uses = _helped(parse_perception(log.settings.perception).kind) if cooperative is None else cooperative
+    uses = uses_helpers(parse_perception(log.settings.perception).kind) if cooperative is None else cooperative
     eyes: list[Eyes] = []
 
     def in_sight(now: Actors, object_id: int) -> bool:
@@ -92,8 +92,4 @@ def _kept(path: Path, cooperative: bool) -> Cause | None:
 def _cooperative(one: PerceptionSpec) -> bool:
     if one.kind == MODELLED:
         return read_model(Path(one.checkpoint)).cooperative
-    return _helped(one.kind)
-
-
-def _helped(kind: str) -> bool:
-    return kind == TEAM_SIGHT or kind not in (*WITHOUT_SENSOR, ALONE)
+    return uses_helpers(one.kind)

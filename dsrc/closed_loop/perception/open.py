@@ -175,6 +175,11 @@ def parse_perception(text: str) -> Words:
     return Words(name or Path(what).stem, kind, what)
 
 
+def uses_helpers(kind: str) -> bool:
+    """Whether a perception of a kind of `Words` uses helpers."""
+    return kind == TEAM_SIGHT or kind not in (*WITHOUT_SENSOR, ALONE)
+
+
 def _refuse(text: str, what: str, given: dict[str, bool]) -> None:
     """Raise SettingsError for a setting of something that a perception has not."""
     for field, is_given in given.items():

@@ -61,6 +61,21 @@ class Senses:
             SettingsError: a corrupted agent's id is no agent.
             DataError: a sweep lacks what the corruption needs.
         """
+        rig = self.pass_over(before, now)
+        oldest = self._steps[0] if len(self._steps) == self._steps.maxlen else before
+        present = [agent for agent in self.agents if agent < 0 or agent in now.boxes.object_id]
+        lies = false_actors(claims, now, present[1:])
+        frame = rig.frame(self.index, present, now, oldest, only_for=lies)
+        return self._sensor_faults.apply(frame, self._ego_id, now.time_s - self._start_s)
+
+    def pass_over(self, before: Actors, now: Actors) -> Rig:
+        """Take an instant without its sweeps: later ones are the same but for a sensor that froze at it.
+
+        Arguments and errors as of `frame`.
+
+        Returns:
+            The LiDARs of the agents.
+        """
         if self._rig is None:
             raise RuntimeError("Senses.frame before reset")
         if not self.index:
@@ -71,11 +86,7 @@ class Senses:
             self._check_agents()
         self._steps.append(now)
         self.index += 1
-        oldest = self._steps[0] if len(self._steps) == self._steps.maxlen else before
-        present = [agent for agent in self.agents if agent < 0 or agent in now.boxes.object_id]
-        lies = false_actors(claims, now, present[1:])
-        frame = self._rig.frame(self.index, present, now, oldest, only_for=lies)
-        return self._sensor_faults.apply(frame, self._ego_id, now.time_s - self._start_s)
+        return self._rig
 
     def _check_agents(self) -> None:
         """Raise SettingsError for an id that is no agent, or faults of one kind on one agent at once."""

@@ -23,7 +23,8 @@ from dsrc.review.shapes import (
     quaternions,
     roof_crosses,
 )
-from dsrc.review.state import Theme
+from dsrc.review.sources.moment import CELL_M
+from dsrc.review.state import EPISODE_LAYERS, Theme
 from dsrc.review.static import StaticPart, body_shape
 from dsrc.review.view import (
     DETECTED_TRUTH,
@@ -335,7 +336,7 @@ class SceneWriter:
     def _write_moment(self, view: FrameView) -> None:
         """Draw what the ego of an episode plans, tracks, hears and is made to believe; hide it elsewhere."""
         moment = view.moment
-        for name in ("plan", "tracks", "claims"):
+        for name in EPISODE_LAYERS:
             self._frame(name).visible = moment is not None and name not in view.layers_off
         if moment is None:
             return
@@ -355,8 +356,23 @@ class SceneWriter:
         placed = np.isfinite(line).all(axis=(1, 2))
         self._lines("links/received", line[placed & heard], view.ego.rgb, 2.0)
         self._lines("links/lost", dashed_lines(line[placed & ~heard], 1.5), palette.FP, 2.0)
+        self._write_unseen(moment.unseen, view.ego.review_from_lidar[:2, 3], ground)
         touched = view.truth[view.agent_of == 0] if moment.contact is not None else Boxes.zeros()
         self._lines("plan/contact", crossed(replace(touched, size=touched.size + 0.5)), palette.FP, 8.0)
+
+    def _write_unseen(self, unseen: NDArray[np.bool_] | None, xy: NDArray[np.float64], ground_m: float) -> None:
+        """Shade the road where nobody whose sweep arrived sees it."""
+        if unseen is None:
+            self._hide("seen/shade")
+            return
+        picture = np.where(unseen[..., None], np.array(palette.UNSEEN, np.uint8), np.uint8(0))
+        if "seen/shade" not in self._nodes:
+            size = CELL_M * len(unseen)
+            self._nodes["seen/shade"] = self.scene.add_image(
+                f"{self.root}/seen/shade", picture, size, size, format="png", cast_shadow=False, receive_shadow=False
+            )
+        node = self._nodes["seen/shade"]
+        node.image, node.position, node.visible = picture, (*xy, ground_m), True
 
     def _lines(self, name: str, lines: NDArray[np.float32], rgb: Rgb, thickness: float) -> None:
         if len(lines) == 0:

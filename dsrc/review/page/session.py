@@ -103,7 +103,7 @@ class Session:
             and (state.object_id is not None or state.detection is not None)
         )
         self.pair: CellPair | None = None
-        self._refresh_at, self._busy = 0.0, False
+        self._refresh_at, self._busy, self._version = 0.0, False, 0
         self._seen_frames = model.frame_count(state.drive)
         self._world_of, self._placed = world_of, -1
         self._changed = threading.Condition()
@@ -217,13 +217,13 @@ class Session:
 
     def why_crashed(self, drive: int) -> str:
         """Cause of the crash of an episode, looked for in the background; "" without a crash."""
-        met, log = self.model.meeting(drive), getattr(self.model.sources[drive], "log", None)
-        if met is None or log is None:
+        met, explain = self.model.meeting(drive), getattr(self.model.sources[drive], "explain", None)
+        if met is None or explain is None:
             return ""
         if not met.explained:
             self._busy = True
             if not self._explaining.running:
-                self._explaining.submit(lambda: met.explain(log))
+                self._explaining.submit(explain)
         return met.why if met.explained else "Looking for the cause …"
 
     def over_time(self, state: ReviewState, view: FrameView) -> str:
@@ -392,6 +392,9 @@ class Session:
                 self.update(frame=frames - 1 if newest else max(self.state.frame, oldest))
                 # A frame that stays is drawn again, too: its timeline is longer.
                 self._draw_soon()
+        elif self._version != self.model.stores[self.state.drive].version:
+            with self._changed:
+                self._draw_soon()
         elif self._busy or was:
             self._show_panels()
         self._refresh_at = time.monotonic() + (GROW_S if self.model.grows(self.state.drive) else REFRESH_S)
@@ -427,6 +430,7 @@ class Session:
         """Draw a state, or tell why that cannot be: the next one is drawn all the same."""
         try:
             self.stage.set_theme(state.theme)
+            self._version = self.model.stores[state.drive].version
             shown = self._moving(state)
             if self.view is None:
                 # The browser shows it while the rest is computed and sent.
@@ -469,7 +473,7 @@ class Session:
 
     def _moving(self, state: ReviewState) -> ReviewState:
         """State with fewer points where its frame is another one than the last, until the view rests."""
-        points_of = state.drive, state.frame, self.model.setup(state)
+        points_of = state.drive, state.frame, self._version, self.model.setup(state)
         rested = self._rest_at is None or time.monotonic() >= self._rest_at
         rests = points_of == self._points_of and rested and not self._playing
         self._points_of = points_of

@@ -1,5 +1,7 @@
 """EpisodeSource: an episode of the closed loop, recorded or running: what its ego saw, believed and planned."""
 
+import contextlib
+import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.perception.recast import RecastSenses, recast_senses
 from dsrc.closed_loop.types import EgoState, Percept, Tick
 from dsrc.evaluation.detection_table import one_frame
 from dsrc.ops.detections import Detections
@@ -19,11 +22,13 @@ from sensors.corruptions import CLEAN
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import make_sweep
 from sim.boxes import Boxes, concatenate
-from sim.errors import DataError, complaint
+from sim.errors import DataError, UserError, complaint
 from sim.geometry import invert, pose_matrix
 from sim.radio.spec import IDEAL
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
+
+_logger = logging.getLogger(__name__)
 
 PERCEPTS, TRACKS = "percepts", "tracks"
 """Names of the sets of detections of an episode."""
@@ -47,6 +52,7 @@ class EpisodeSource:
         ended: whether no more steps come.
         fault: corruption, channel and faults under which it was driven, as a table has them.
         log: of an episode that has ended; None before that.
+        senses: casts the sweeps of the log again once they are open; None without a log, or where it has none.
         meeting: contact or nearest pass of the log; None without one.
     """
 
@@ -65,19 +71,28 @@ class EpisodeSource:
         self._sensed: dict[int, Frame] = {}
         self._ego_id, self._outcome, self._message = -1, RUNNING, ""
         self.log: EpisodeLog | None = None
+        self.senses: RecastSenses | None = None
         self.meeting: Meeting | None = None
 
-    def put(self, tick: Tick, ego_id: int, sensed: Frame | None = None) -> None:
+    @property
+    def version(self) -> int:
+        """Number that changes where frames change that were read before: their sweeps can be cast."""
+        return int(self.senses is not None and self.senses.ready)
+
+    def put(
+        self, tick: Tick, ego_id: int, sensed: Frame | None = None, lidar: NDArray[np.float64] | None = None
+    ) -> None:
         """Add the next step.
 
         Args:
             sensed: sweeps behind the newest percept; None without any.
+            lidar: (4, 4) world pose of the ego's LiDAR behind it, where they are cast later.
         """
         row, before = len(self._ticks), self._percepts[-1] if self._percepts else None
         newest = tick.percept if tick.percept is not None else before
         boxes, score = (Boxes.zeros(), np.zeros(0)) if newest is None else (newest.boxes, newest.score)
         self._ego_id = ego_id
-        usual = _body(tick.ego) @ pose_matrix([0.0, 0.0, _LIDAR_M])
+        usual = _body(tick.ego) @ pose_matrix([0.0, 0.0, _LIDAR_M]) if lidar is None else lidar
         self._lidars.append(usual if sensed is None else sensed.agent(ego_id).sweep.world_from_lidar)
         self._percept_set.put(row, self._judged(row, tick, boxes, score))
         self._track_set.put(row, self._judged(row, tick, tick.tracks.boxes, tick.tracks.score))
@@ -99,15 +114,34 @@ class EpisodeSource:
             self._outcome, self._message = outcome, message
         self.ended = True
 
+    def explain(self) -> None:
+        """Build the world of an episode that has ended, cast its sweeps from now on, and find why it crashed."""
+        if self.senses is not None:
+            with contextlib.suppress(UserError):  # that the world is not drawn is told
+                self.senses.open()
+        if self.log is not None and self.meeting is not None:
+            self.meeting.explain(self.log)
+
     def __len__(self) -> int:
         return len(self._ticks)
 
     def read(self, row: int) -> Frame:
-        """Return the road users of a step, with sweeps where they are known.
+        """Return the road users of a step, with the sweeps behind the percept where they are known or can be cast.
 
         Raises:
             DataError: the step has not come yet.
         """
+        outline = self.outline(row)
+        if self.senses is None or not self.senses.ready:
+            return outline
+        try:
+            return self._frame(row, self.senses.agents(row))
+        except UserError as error:
+            _logger.warning("%s: %s", self.name, error)
+            return outline
+
+    def outline(self, row: int) -> Frame:
+        """Return the road users of a step, with sweeps where they were handed over; raises as `read`."""
         if not 0 <= row < len(self):
             expected = f"0 to {len(self) - 1}" if len(self) else "a first frame to come"
             raise DataError(complaint(self.name, "frame", expected, row))
@@ -115,7 +149,10 @@ class EpisodeSource:
         actors = tick.actors
         empty = make_sweep(np.zeros((0, 3)), self._lidars[row], actors.time_s)
         alone = AgentFrame(self._ego_id, "vehicle", _body(tick.ego), tick.ego.speed_mps, empty)
-        agents = (alone,) if sensed is None else sensed.agents
+        return self._frame(row, (alone,) if sensed is None else sensed.agents)
+
+    def _frame(self, row: int, agents: tuple[AgentFrame, ...]) -> Frame:
+        actors = self._ticks[row].actors
         return Frame(
             index=row,
             time_s=actors.time_s,
@@ -190,10 +227,12 @@ def episode_source(log: EpisodeLog) -> EpisodeSource:
     channel = "" if settings.channel == IDEAL else settings.channel
     named = [settings.condition.label if settings.corruption != CLEAN else "", channel, settings.fault]
     source.fault = " + ".join(part for part in named if part) or CLEAN
-    for tick in log.ticks:
-        source.put(tick, settings.ego_id)
+    senses = recast_senses(log)
+    for row, tick in enumerate(log.ticks):
+        there = senses is not None and settings.ego_id in tick.actors.boxes.object_id
+        source.put(tick, settings.ego_id, lidar=senses.lidar(row) if senses is not None and there else None)
     source.end(str(log.outcome), log.message)
-    source.log, source.meeting = log, meeting_of(log)
+    source.log, source.senses, source.meeting = log, senses, meeting_of(log)
     return source
 
 
@@ -228,4 +267,7 @@ def _links(percept: Percept | None, actors: Actors, ego: EgoState) -> Links:
     unknown = np.full(3, np.nan)
     line = [[places.get(link.sender, unknown), ego.box.center[0]] for link in links]
     received = np.array([link.received for link in links], bool)
-    return Links(np.array(line, np.float64).reshape(-1, 2, 3), received)
+    names = ["roadside unit" if link.sender < 0 else "vehicle" for link in links]
+    senders = tuple(f"{name} {abs(link.sender)}" for name, link in zip(names, links, strict=True))
+    age_s = np.array([link.age_s for link in links], np.float64)
+    return Links(np.array(line, np.float64).reshape(-1, 2, 3), received, senders, age_s)

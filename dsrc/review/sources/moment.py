@@ -1,17 +1,21 @@
 """EpisodeMoment and EpisodeTimeline: a step and the course of an episode as plain arrays."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.frame import AgentFrame
 from sim.boxes import Boxes
 
 if TYPE_CHECKING:
     # Meshes take half a second to import, and drives have no contacts.
     from sim.contact import Contact
 
+AROUND_M, CELL_M = 60.0, 0.5
+"""Distance from the ego within which unseen places are drawn, and their size, m."""
 RUNNING = "running"
 """Outcome of an episode that has not ended."""
 
@@ -23,10 +27,14 @@ class Links:
     Attributes:
         line: (K, 2, 3) float64 from sender to ego, world frame, m; NaN where the log does not place the sender.
         received: (K,) bool.
+        senders: (K,) displayed names.
+        age_s: (K,) time from the measurement to the percept, s; NaN without a message.
     """
 
     line: NDArray[np.float64]
     received: NDArray[np.bool_]
+    senders: tuple[str, ...]
+    age_s: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +55,8 @@ class EpisodeMoment:
         reason: what decided.
         decisive: number of the decisive track, -1 without one.
         contact: first contact, at its step; else None.
+        unseen: (N, N) places around the ego's LiDAR, rows along y and columns along x, `CELL_M` apart, on which a road
+            user may stand that no sweep that arrived shows; None where no sweep is known.
     """
 
     time_s: float
@@ -62,6 +72,7 @@ class EpisodeMoment:
     reason: str
     decisive: int
     contact: "Contact | None"
+    unseen: NDArray[np.bool_] | None = None
 
     def moved(self, by: NDArray[np.float64]) -> "EpisodeMoment":
         """Moment in a frame whose axes are the world's, moved by (3,) m."""
@@ -98,3 +109,16 @@ class EpisodeTimeline:
     outcome: str
     message: str
     closing_mps: float = 0.0
+
+
+def unseen_places(agents: Sequence[AgentFrame], ego_id: int) -> NDArray[np.bool_] | None:
+    """Places around an ego that no sweep of the agents shows to be free, see `EpisodeMoment.unseen`."""
+    # The closed loop takes a second to import; its episodes are open.
+    from dsrc.closed_loop.seen_space import seen_of
+
+    if not any(len(agent.sweep) for agent in agents):
+        return None
+    (ego,) = (agent for agent in agents if agent.agent_id == ego_id)
+    offset = np.arange(-AROUND_M, AROUND_M, CELL_M) + 0.5 * CELL_M
+    places = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2) + ego.sweep.world_from_lidar[:2, 3]
+    return ~seen_of([(agent, None) for agent in agents]).sees(places).reshape(len(offset), -1)

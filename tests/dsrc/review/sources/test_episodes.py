@@ -14,8 +14,10 @@ from dsrc.review.errors.report import place_of, run_report
 from dsrc.review.model import ReviewModel
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.episodes import PERCEPTS, TRACKS, EpisodeSource, episode_source, planned_way
+from dsrc.review.sources.moment import AROUND_M, CELL_M
 from dsrc.review.sources.opening import open_sources
 from dsrc.review.state import ReviewState
+from dsrc.review.view import FrameView
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import make_sweep
 from sim.boxes import concatenate
@@ -23,6 +25,8 @@ from sim.catalog.load import load_scenario
 from sim.errors import DataError
 from sim.geometry import pose_matrix
 from tests.dsrc.closed_loop.logged import EGO_ID, SCENARIO, Mover, ahead, percept_of, ticks_of
+from tests.dsrc.closed_loop.perception import toy
+from tests.dsrc.closed_loop.perception.test_recast import log_of, message
 from tests.dsrc.closed_loop.test_log import full_log
 from tests.dsrc.review.conftest import street_frame
 
@@ -102,7 +106,7 @@ def test_a_running_episode_grows_step_by_step_and_ends_as_its_log(log: EpisodeLo
         live.read(0)
     for row, tick in enumerate(log.ticks):
         assert len(live) == row and not live.ended
-        live.put(tick, EGO_ID)
+        live.put(tick, EGO_ID, lidar=source.senses.lidar(row))
         assert live.timeline().outcome == "running" and len(live.timeline().time_s) == row + 1
     live.end(str(log.outcome), log.message)
     live.end()
@@ -110,6 +114,35 @@ def test_a_running_episode_grows_step_by_step_and_ends_as_its_log(log: EpisodeLo
     for name in (PERCEPTS, TRACKS):
         ours, theirs = live.sets[name].run(Setup()), source.sets[name].run(Setup())
         np.testing.assert_array_equal(ours.truth, theirs.truth)
+
+
+def test_sweeps_of_a_log_are_cast_again_once_its_world_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    toy.build(monkeypatch)
+    source = episode_source(log_of({4: message(2, 0.2), 6: message(-1, np.nan)}))
+    model = ReviewModel([source])
+    state = ReviewState(frame=4)
+    view = model.view(state)
+    assert [agent.total for agent in view.agents] == [0] and view.moment.unseen is None
+    source.explain()
+    view = model.view(state)
+    assert [agent.agent_id for agent in view.agents] == [toy.EGO, toy.HELPER]
+    assert all(agent.total > 0 for agent in view.agents)
+    assert view.moment.links.senders == (f"vehicle {toy.HELPER}",) and view.moment.links.age_s == pytest.approx([0.2])
+    helped, alone = (model.view(ReviewState(frame=row)) for row in (4, 6))
+    behind_the_wall = unseen_at(helped, 30.0, 7.0), unseen_at(alone, 30.0, 7.0)
+    assert behind_the_wall == (False, True), "its helper sees the road there"
+    assert not unseen_at(alone, 10.0, 0.0)
+    hidden = [
+        one.agent for one in model.view(ReviewState(frame=4, object_id=toy.HIDDEN)).details.visibility if one.points
+    ]
+    assert hidden == [f"vehicle {toy.HELPER}"]
+
+
+def unseen_at(view: FrameView, x: float, y: float) -> bool:
+    """Whether a place of the world is drawn as unseen; the toy's ego stands at its origin."""
+    lidar = view.ego.review_from_lidar[:2, 3] - view.ego.review_from_body[:2, 3]
+    column, row = ((np.array([x, y]) - lidar + AROUND_M) / CELL_M).astype(int)
+    return bool(view.moment.unseen[row, column])
 
 
 def test_sweeps_that_are_handed_over_are_shown_in_the_latest_frames(
