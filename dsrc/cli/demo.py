@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 
 from dsrc.cli.progress import made, progress
-from dsrc.cli.view import draw
 from dsrc.options.fields import Folder, Output
 
 SCENARIO = "braunschweig"
@@ -60,7 +59,8 @@ def run_demo(out: Path, quick: bool = False) -> None:
     from dsrc.evaluation.evaluate import Evaluation, evaluate_drives
     from dsrc.evaluation.report.ap_table import result_table
     from dsrc.evaluation.report.differences import stored_differences
-    from dsrc.review.page.output.export import export_html
+    from dsrc.review.model import open_model
+    from dsrc.review.page.output.export import export_html, picture, write_picture
     from dsrc.review.page.output.screenshot import find_chromium
     from dsrc.runs.executors import Pool
     from sim.files import check_folder
@@ -82,7 +82,9 @@ def run_demo(out: Path, quick: bool = False) -> None:
         table = result_table(evaluate_drives(config, Pool(), report))
     with progress("review page") as report:
         page = export_html(out / "test", out / "review.html", checkpoint=str(dsrc))
-        picture = draw(page, out / "review.png") if find_chromium() else None
+        drawn = None
+        if find_chromium():
+            drawn = write_picture(picture(open_model(out / "test", str(dsrc)), ""), out / "review.png")
         report(1, 1)
     with progress(f"drive {ENCOUNTER} with four views of it") as report:
         driven = drive_episodes(
@@ -105,7 +107,7 @@ def run_demo(out: Path, quick: bool = False) -> None:
         "AP per corruption": out / "results" / "ap_per_corruption.png",
         "mCE against mAP": out / "results" / "mce_map.png",
         "review page": page,
-        "its picture": picture or "none, Chromium is missing",
+        "its picture": drawn or "none, Chromium is missing",
         "closed loop": out / "drive" / "results.csv",
     }.items():
         console.print(f"{what:18s} {where}")

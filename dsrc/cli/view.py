@@ -1,14 +1,12 @@
 """Command `dsrc view`: review drives in the browser or in one HTML page."""
 
 import sys
-import tempfile
-from pathlib import Path
 
 import msgspec
 
 from dsrc.cli.progress import log_lines, made, progress
 from dsrc.options.fields import File, Output
-from dsrc.options.review import Review, ServeOptions
+from dsrc.options.review import ServeOptions
 
 _OF_SERVER = ("host", "port", "allow_origin")
 _OF_CORRUPTION = ("severity", "family", "corrupted_agents")
@@ -25,13 +23,14 @@ class View(ServeOptions, frozen=True, kw_only=True):
         dsrc view data/test --out page.html
 
     Attributes:
-        out: HTML page to write; default: serve the page.
-        picture: PNG of the written page, or of the view of the link, drawn by Chromium; default: none.
-        animation: GIF of the view of the link, drawn by Chromium; default: none.
-        link: what a picture shows beside what the options say, as a page's address has it after the question mark;
+        out: HTML page to write: of the link's view with card, plots and pictures of the errors, else one that plays the
+            drive; default: serve the page.
+        picture: PNG of the view with legend and card, drawn by Chromium; default: none.
+        animation: GIF of the view, drawn by Chromium; default: none.
+        link: what is written beside what the options say, as a page's address has it after the question mark;
             default: nothing.
         size: width and height of a picture or animation, px.
-        frames: frames of a written page from the first, or of an animation from the link's.
+        frames: frames of a page or an animation, from the one at the start.
         verbose: also say which engine runs the networks, and why.
     """
 
@@ -49,29 +48,13 @@ class View(ServeOptions, frozen=True, kw_only=True):
         self._check()
         if self.verbose:
             log_lines("dsrc.models.storage", on_terminals=True)
-        if self.out is None and (self.picture is not None or self.animation is not None):
-            self._draw()
+        if self.out is not None or self.picture is not None or self.animation is not None:
+            self._write()
             return
-        if self.out is None:
-            from dsrc.review.page.app import serve
+        from dsrc.review.page.app import serve
 
-            serve(self, announce=_announce)
-            raise SystemExit(0)  # an interrupt is how it ends
-        from dsrc.review.page.output.export import export_html
-        from sim.files import check_apart, check_output
-
-        for path, kind in ((self.out, "web page"), (self.picture, "picture")):
-            if path is not None:
-                check_apart(path, self.data)
-                check_output(path, kind)
-        shown = {name: getattr(self, name) for name in Review.__struct_fields__}
-        with progress(f"write {self.out}") as report:
-            page = export_html(self.data, self.out, self.frames, **shown)
-            report(1, 1)
-        if self.picture is None:
-            made(page, "a page for any browser")
-        else:
-            made([page, draw(page, self.picture, self.size)], "a page for any browser, and its picture")
+        serve(self, announce=_announce)
+        raise SystemExit(0)  # an interrupt is how it ends
 
     def _check(self) -> None:
         """Raise SettingsError for numbers out of their range, options that exclude each other or have no effect."""
@@ -81,22 +64,16 @@ class View(ServeOptions, frozen=True, kw_only=True):
             raise SettingsError(complaint("view", "size", "16 to 8192 px each", str(self.size)))
         if self.frames < 1:
             raise SettingsError(complaint("view", "frames", "at least 1", self.frames))
-        if self.out is not None and self.animation is not None:
-            raise SettingsError("view: --out writes a page; leave out --animation")
         self._refuse(self._unused())
 
     def _unused(self) -> dict[str, str]:
         """Options that do nothing here, by name: why, and what to do."""
         draws = self.picture is not None or self.animation is not None
         unused: dict[str, str] = {}
-        if self.out is not None:
-            unused |= dict.fromkeys(("frame", "link", *_OF_SERVER), f"--out writes a page; {_LEAVE_OUT}")
-            if self.corruption == "clean":
-                unused |= dict.fromkeys(_OF_CORRUPTION, _ADD_CORRUPTION)
-        elif draws:
-            unused |= dict.fromkeys(_OF_SERVER, f"a picture is drawn without a server; {_LEAVE_OUT}")
+        if draws or self.out is not None:
+            unused |= dict.fromkeys(_OF_SERVER, f"it is written without a server; {_LEAVE_OUT}")
         else:
-            unused["link"] = "{} says what a picture shows; add --picture or --animation"
+            unused["link"] = "{} says what is written; add --out, --picture or --animation"
         if self.checkpoint is None:
             unused["height"] = "{} is of a detector's clouds; add --checkpoint"
         if not draws:
@@ -118,34 +95,35 @@ class View(ServeOptions, frozen=True, kw_only=True):
             if getattr(self, name) != defaults[name]:
                 raise SettingsError(f"view: {why.format(option(name))}")
 
-    def _draw(self) -> None:
-        """Write the picture and the animation of the view of options and link, and print their paths."""
+    def _write(self) -> None:
+        """Write page, picture and animation of the view of options and link, and print their paths."""
         from dsrc.review.model import open_model
         from dsrc.review.page.app import first_state
-        from dsrc.review.page.link import read_link
-        from dsrc.review.page.output.export import export_pictures, write_animation, write_picture
+        from dsrc.review.page.offline.pages import linked_views
+        from dsrc.review.page.output.export import export_pictures, picture, write_animation, write_page, write_picture
         from sensors.corruptions import Condition
-        from sim.errors import SettingsError
         from sim.files import check_apart, check_output
 
         Condition.of(self.corruption, self.severity, self.family, self.corrupted_agents).checked()
-        for path, kind in ((self.picture, "picture"), (self.animation, "animation")):
+        for path, kind in ((self.out, "web page"), (self.picture, "picture"), (self.animation, "animation")):
             if path is not None:
                 check_apart(path, self.data)
                 check_output(path, kind)
         model = open_model(self.data, self.checkpoint, self.drives, self.engine, self.height)
         start = first_state(model, self)
-        state, _, complaints = read_link(self.link, model, start)
-        if complaints:
-            raise SettingsError(complaints[0])
+        state, _ = linked_views(model, self.link, start)[0]
         asked = ("frame", "corruption", *_OF_CORRUPTION)
         others = [name for name in asked if getattr(state, name) != getattr(self, name)]
         self._refuse(dict.fromkeys(others, f"the link says otherwise; {_LEAVE_OUT}"))
         if state.corruption == "clean":
             self._refuse(dict.fromkeys(_OF_CORRUPTION, _ADD_CORRUPTION))
+        if self.out is not None:
+            with progress(f"write {self.out}") as report:
+                write_page(model, self.link, self.out, self.frames, start)
+                report(1, 1)
+            made(self.out, "a page for any browser")
         if self.picture is not None:
-            (image,) = export_pictures(model, self.link, self.size, start=start)
-            sys.stdout.write(f"{write_picture(image, self.picture)}\n")
+            sys.stdout.write(f"{write_picture(picture(model, self.link, self.size, start), self.picture)}\n")
         if self.animation is not None:
             rows = range(state.frame, min(state.frame + self.frames, model.frame_count(state.drive)))
             with progress(f"draw {self.animation}") as report:
@@ -155,17 +133,6 @@ class View(ServeOptions, frozen=True, kw_only=True):
                     report(len(images), len(rows))
             pause_s = model.interval_s(state.drive) / state.speed
             sys.stdout.write(f"{write_animation(images, self.animation, pause_s)}\n")
-
-
-def draw(page: Path, out: Path, size: tuple[int, int] = (1280, 720)) -> Path:
-    """Write a PNG of a written page, with the note by which it is known as ours; raises as `screenshot`."""
-    from dsrc.review.page.output.screenshot import screenshot
-    from sim.files import signed_picture, write_file
-
-    with tempfile.TemporaryDirectory() as folder:
-        content = screenshot(page, Path(folder) / "page.png", size).read_bytes()
-    write_file(out, signed_picture(content))
-    return out
 
 
 def _announce(text: str) -> None:

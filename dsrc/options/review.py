@@ -52,21 +52,18 @@ class PageOptions(Review, frozen=True):
     """Options of a written page.
 
     Attributes:
-        data: a drive, or a folder of drives.
+        data: a drive, a folder of drives, or anything else that a live page shows.
         out: HTML page to write.
         frames: number of frames from the first, or a slice of the drive's frames.
-        max_points: points per frame, all agents together; None for a page below 12 MB.
-        drive: row of the drive in `data`.
-        threshold: least score of a drawn detection.
-        follow: keep the ego where it starts on the screen.
-        color_by: what colour means; `agent` in place of `verdict` where nothing is judged.
+        frame: frame at the start, its row in the first drive.
+        link: what is shown beside that, as a live page's address has it after the question mark; the page then stands
+            at its first frame, with card, plots over time and pictures of the errors. Default: it plays the drive.
+        max_points: points per frame, all agents together; None for a page of at most 8 MB.
     """
 
     data: Data
     out: File
     frames: slice | int = 40
+    frame: int = 0
+    link: str = ""
     max_points: int | None = None
-    drive: int = 0
-    threshold: float = 0.3
-    follow: bool = True
-    color_by: ColorBy = "verdict"

@@ -1,6 +1,7 @@
 """Texts of the live page: counts, card of the selection and legend."""
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from html import escape
 
@@ -19,6 +20,27 @@ _SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a collaborator only",
 def quoted(text: str) -> str:
     """Markdown that shows a text as it is: names from files are no formatting, and no HTML."""
     return "".join(f"\\{letter}" if letter in r"\`*_{}[]<>()#|!&~" else letter for letter in " ".join(text.split()))
+
+
+def html_of(markdown: str) -> str:
+    """HTML of the Markdown of these texts: paragraphs, tables, bold, and letters after a backslash."""
+    parts = []
+    for block in filter(None, markdown.split("\n\n")):
+        if block.startswith("|"):
+            head, _, *rows = [[_plain(cell) for cell in _CELL.findall(line[1:])] for line in block.split("\n")]
+            parts.append(html_table(head, rows))
+            continue
+        pieces = _MARK.sub(lambda m: "\0" if m[0] == "**" else escape(m[1] or m[0]), block).split("\0")
+        parts.append(f"<p>{''.join(f'<b>{one}</b>' if odd % 2 else one for odd, one in enumerate(pieces))}</p>")
+    return "".join(parts)
+
+
+_MARK = re.compile(r"\\(.)|\*\*|[<>&]")
+_CELL = re.compile(r"((?:\\.|[^|\\])*)\|")
+
+
+def _plain(cell: str) -> str:
+    return _MARK.sub(lambda m: "" if m[0] == "**" else m[1] or m[0], cell.strip())
 
 
 def frame_report(view: FrameView) -> str:

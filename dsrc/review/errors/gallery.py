@@ -130,15 +130,16 @@ def gallery_html(pictures: Sequence[Picture], links: Sequence[str]) -> str:
     """HTML of pictures by cause, the most frequent first.
 
     Args:
-        links: addresses that a click on each of them opens.
+        links: addresses that a click on each of them opens, "" for none.
     """
     groups: dict[str, list[int]] = {}
     for number, one in enumerate(pictures):
         groups.setdefault(one.kind, []).append(number)
     parts = []
+    goes = [f' href="{escape(link)}"' if link else "" for link in links]
     for kind, numbers in sorted(groups.items(), key=lambda group: -len(group[1])):
         cells = "".join(
-            f'<a href="{escape(links[number])}" title="{escape(pictures[number].sentence)}" '
+            f'<a{goes[number]} title="{escape(pictures[number].sentence)}" '
             f'style="color:inherit;text-decoration:none">{pictures[number].svg}'
             f'<div style="font-size:.75em;line-height:1.25">{escape(pictures[number].sentence)}</div></a>'
             for number in numbers

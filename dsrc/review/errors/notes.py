@@ -1,4 +1,4 @@
-"""NoteBook: notes and tags of errors, a JSON beside the run, and errors with their notes as CSV."""
+"""NoteBook: notes and tags of errors and saved views, a JSON beside the run, and errors with their notes as CSV."""
 
 import os
 import threading
@@ -44,6 +44,7 @@ class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 class _Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     version: int = VERSION
     notes: dict[str, Note] = {}
+    views: dict[_Tag, _Text] = {}
 
 
 class NoteChanged(DataError):
@@ -66,16 +67,31 @@ class NoteBook:
     def __init__(self, path: Path) -> None:
         self.path = path / FILE if path.is_dir() else path
         self._lock = threading.Lock()
-        self._notes: dict[str, Note] = {}
-        if self.path.is_file():
-            self._notes = _read(self.path)
+        self._book = _read(self.path)
 
     def __len__(self) -> int:
-        return len(self._notes)
+        return len(self._book.notes)
+
+    @property
+    def views(self) -> dict[str, str]:
+        """Links of the saved views by their names."""
+        return self._book.views
+
+    def put_view(self, name: str, link: str) -> None:
+        """Save a view under a name, in place of an earlier one; an empty link removes that.
+
+        Raises:
+            DataError: the name is longer than 60 letters, or the file is damaged by now.
+            OSError: the file cannot be written.
+        """
+        with self._lock, _alone(self.path.parent):
+            book = _read(self.path)
+            views = {known: one for known, one in book.views.items() if known != name} | ({name: link} if link else {})
+            self._write(msgspec.structs.replace(book, views=views))
 
     def get(self, key: str, former: str = "") -> Note | None:
         """Note on an error by its key, see `error_key` and `former_key`; None without one."""
-        return self._notes.get(key) or self._notes.get(former)
+        return self._book.notes.get(key) or self._book.notes.get(former)
 
     def put(
         self, key: str, text: str = "", tags: Iterable[str] = (), *, former: str = "", seen: Note | None = None
@@ -97,16 +113,22 @@ class NoteBook:
         except msgspec.ValidationError as error:
             raise DataError(complaint(self.path, "note", "a short text and short tags", str(error))) from None
         with self._lock, _alone(self.path.parent):
-            self._notes = _read(self.path) if self.path.is_file() else {}
+            self._book = _read(self.path)
             if seen is not None:
                 note = self._merged(note, seen, self.get(key, former) or Note())
-            changed = {name: one for name, one in self._notes.items() if name not in (key, former)}
+            changed = {name: one for name, one in self._book.notes.items() if name not in (key, former)}
             if note != Note():
                 changed[key] = note
-            content = msgspec.json.encode(_Book(notes=changed), order="deterministic")
-            write_file(self.path, msgspec.json.format(content, indent=1) + b"\n", edited=True)
-            self._notes = changed
+            self._write(msgspec.structs.replace(self._book, notes=changed))
         return note
+
+    def _write(self, book: _Book) -> None:
+        try:
+            content = msgspec.json.encode(msgspec.convert(msgspec.to_builtins(book), _Book), order="deterministic")
+        except msgspec.ValidationError as error:
+            raise DataError(complaint(self.path, "views", "short names", str(error))) from None
+        write_file(self.path, msgspec.json.format(content, indent=1) + b"\n", edited=True)
+        self._book = book
 
     def _merged(self, note: Note, seen: Note, there: Note) -> Note:
         """Note with what its writer has changed in the one seen, and what others have."""
@@ -120,10 +142,13 @@ class NoteBook:
     @property
     def tags(self) -> list[str]:
         """All tags, sorted."""
-        return sorted({tag for note in self._notes.values() for tag in note.tags})
+        return sorted({tag for note in self._book.notes.values() for tag in note.tags})
 
 
-def _read(path: Path) -> dict[str, Note]:
+def _read(path: Path) -> _Book:
+    """Content of a file, empty where there is none."""
+    if not path.is_file():
+        return _Book()
     if path.stat().st_size > _LARGEST_BYTES:
         raise DataError(complaint(path, "size", f"at most {_LARGEST_BYTES} bytes", path.stat().st_size))
     try:
@@ -132,7 +157,7 @@ def _read(path: Path) -> dict[str, Note]:
         raise DataError(complaint(path, "content", "notes on errors", str(error))) from None
     if book.version != VERSION:
         raise DataError(complaint(path, "version", str(VERSION), book.version))
-    return book.notes
+    return book
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from urllib.parse import parse_qsl
 import viser
 
 from dsrc.options.fields import takes_fields
-from dsrc.options.review import ServeOptions
+from dsrc.options.review import PageOptions, ServeOptions
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.cameras import overview
 from dsrc.review.page.cells import PAIR, CellPair
@@ -108,8 +108,9 @@ class ReviewApp:
         if not connected:
             session.close()
             return
-        name = dict(parse_qsl(link)).get(PAIR, "")
+        name, _, place = dict(parse_qsl(link)).get(PAIR, "").partition(".")
         if name:
+            session.place = int(place) if place.isdecimal() else 0
             with self._changed:
                 pair = self._pairs.setdefault(name, CellPair())
             session.pair = pair
@@ -185,7 +186,7 @@ def live_page(
         page.close()
 
 
-def first_state(model: ReviewModel, options: ServeOptions) -> ReviewState:
+def first_state(model: ReviewModel, options: ServeOptions | PageOptions) -> ReviewState:
     """State of the first browser: the frame that was asked for, else the first drive's that can be drawn.
 
     Raises:

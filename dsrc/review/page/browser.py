@@ -1,9 +1,9 @@
 """Address bar of a browser, and the script that a live page runs there before viser's own.
 
-viser tells the server nothing about the address of the page, cannot write it, leaves the focus in a dropdown after a
-choice, maps all colours to paler ones and shows an empty page until something is drawn. The script does these five
-things, goes to the addresses that the server writes, and to those of links on the page without loading it again, and
-tells which frame of a plot is clicked; nothing of the page depends on more.
+viser tells the server nothing about the address of the page, cannot write or copy it, leaves the focus in a dropdown
+after a choice, maps all colours to paler ones and shows an empty page until something is drawn. The script does these
+things, makes pictures with legend and card, goes to the addresses that the server writes, and to those of links on the
+page without loading it again, and tells which frame of a plot is clicked; nothing of the page depends on more.
 """
 
 import time
@@ -15,6 +15,11 @@ from dsrc.review.page.cells import OPEN_KEY
 
 LINK_KEY = "review-link"
 """Key of the browser's storage under which the server writes the query that the address bar shows."""
+
+PICTURE_KEY = "review-picture"
+"""The same of a picture to save: JSON of its file name, the data URL of the scene and the HTML drawn over it."""
+COPY_KEY = "review-copy"
+"""The same of the wish to copy the address."""
 
 LINK_PAUSE_S = 0.3
 """Least time between two links of one browser, s: Safari takes a hundred changes of the address in 30 s."""
@@ -64,14 +69,33 @@ const own=['fixedDpr','darkMode','showStats','websocket','pair'],store=Storage.p
 const show=(link,change)=>{const kept=new URLSearchParams(location.search);
  const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...(link?[link]:[])].join('&');
  history[change](null,'',text?'?'+text:location.pathname);};
+const copy=()=>{const page=new URLSearchParams(location.search).has('pair')?parent:window;
+ const {origin,pathname,search}=page.location;
+ const text=origin+pathname+'?'+search.slice(1).split('&').filter(part=>!own.includes(part.split('=')[0])).join('&');
+ const ask=()=>prompt('Link',text);
+ if(navigator.clipboard)navigator.clipboard.writeText(text).catch(ask);else ask();};
+window.reviewPicture=async(url,html)=>{
+ const load=async src=>{const image=new Image();image.src=src;await image.decode();return image;};
+ const scene=await load(url),{width,height}=scene;
+ const {body}=new DOMParser().parseFromString('<body style="margin:0;position:relative;height:100%">'+html,'text/html');
+ const svg=`<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}">`
+  +'<foreignObject width="100%" height="100%">'+new XMLSerializer().serializeToString(body)+'</foreignObject></svg>';
+ const canvas=Object.assign(document.createElement('canvas'),{width,height}),drawn=canvas.getContext('2d');
+ for(const one of [scene,await load('data:image/svg+xml,'+encodeURIComponent(svg))])drawn.drawImage(one,0,0);
+ return canvas.toDataURL();};
 Storage.prototype.setItem=function(key,value){
  if(key.endsWith('__OPEN_KEY__')){window.top.location.href=value;return;}
+ if(key.endsWith('__COPY_KEY__')){copy();return;}
+ if(key.endsWith('__PICTURE_KEY__')){const [download,url,html]=JSON.parse(value);
+  window.reviewPicture(url,html).then(href=>Object.assign(document.createElement('a'),{href,download}).click());return;}
  if(!key.endsWith('__LINK_KEY__'))return store.call(this,key,value);
  document.getElementById('review-drawing')?.remove();
  show(value,'replaceState');
  if(window.parent!==window)window.parent.postMessage({review:value||''},location.origin);};
 })();
-""".replace("__LINK_KEY__", LINK_KEY).replace("__OPEN_KEY__", OPEN_KEY)
+"""
+for _name, _key in (("LINK", LINK_KEY), ("OPEN", OPEN_KEY), ("COPY", COPY_KEY), ("PICTURE", PICTURE_KEY)):
+    _LINK = _LINK.replace(f"__{_name}_KEY__", _key)
 # A table that is written anew between press and release takes the pressed link away, and the browser then clicks
 # nothing: the link that lies there now is meant.
 # viser sends its camera when it is connected after a loss; with a connection that follows another it has to be asked.
@@ -88,24 +112,24 @@ document.addEventListener('keydown',e=>{
 })();
 """
 
-_NOTICE = """
+NOTICE = """
 (()=>{const seen=new WeakSet(),t=setInterval(()=>{
  for(const one of document.querySelectorAll('.mantine-Notification-root')){
   if(seen.has(one)||!one.innerText.includes('Software WebGL'))continue;
   seen.add(one);clearInterval(t);
   // Of cells side by side the first one says it.
-  const first=window.parent===window||window.frameElement?.id==='left';
+  const first=window.parent===window||window.frameElement?.id==='cell0';
   if(!first)one.style.display='none';
   setTimeout(()=>one.querySelector('button')?.click(),first?6000:0);}},100);
 })();
 """
-# That a browser draws in software is worth a message, once, and not over the scene for good.
+"""Take the message that a browser draws in software away after 6 s: it is worth telling once, and not for good."""
 
 _TYPE = """<style>html{font-size:16px!important}
 .mantine-Slider-markLabel,.uplot,.uplot *,.mantine-Badge-label{font-size:12px!important}</style>"""
 # viser's smallest text is 8 px; its labels are three quarters of the page's size.
 
-HEAD = f"{_TYPE}<script>{_DRAWING}{HONEST_COLORS}{_LINK}{_KEYS}{_NOTICE}</script>"
+HEAD = f"{_TYPE}<script>{_DRAWING}{HONEST_COLORS}{_LINK}{_KEYS}{NOTICE}</script>"
 """What a live page's head begins with."""
 
 

@@ -100,7 +100,8 @@ def close_to(target: NDArray[np.float64], pose: CameraPose, distance_m: float = 
     return CameraPose(target + distance_m * np.array([0.8 * side[0], 0.8 * side[1], 0.6]), target, UP)
 
 
-_PRESETS: dict[str, Callable[[FrameView], CameraPose]] = {"chase": chase, "bev": birds_eye}
+PRESETS: dict[str, Callable[[FrameView], CameraPose]] = {"chase": chase, "bev": birds_eye}
+"""Poses of the cameras that follow; a free one starts with the overview."""
 
 
 class BrowserCamera:
@@ -174,9 +175,9 @@ class BrowserCamera:
             # That of a link is already in the scene.
             return wanted if drawn is None else wanted.moved(after)
         if drawn is None or drawn.drive != state.drive:
-            return _PRESETS.get(state.camera, overview)(view).moved(after)
-        if preset in _PRESETS:
-            return _PRESETS[preset](view).moved(after)
+            return PRESETS.get(state.camera, overview)(view).moved(after)
+        if preset in PRESETS:
+            return PRESETS[preset](view).moved(after)
         current = self.pose
         if drawn.camera != state.camera and current is not None:
             # The picture stays while the scene moves back.

@@ -1,4 +1,4 @@
-"""Two cells side by side that show one moment from one camera; what makes them differ stays each one's own.
+"""Up to four cells side by side that show one moment from one camera; what makes them differ stays each one's own.
 
 Cells are pages of one server in the frames of another page, `HTML`.
 """
@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from dataclasses import fields, replace
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import parse_qsl, quote, urlencode
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import CameraPose
@@ -20,8 +20,12 @@ PATH = "/compare"
 OPEN_KEY = "review-open"
 """Key of the browser's storage under which the server writes an address to go to."""
 PAIR = "pair"
-"""Name in a cell's link of the pair that it belongs to."""
+"""Name in a cell's link of the pair that it belongs to, with its place after a point."""
 
+CELL = "cell"
+"""Name of the link of a cell in the address of cells."""
+MOST = 4
+"""Most cells of a page."""
 _OWN = frozenset(
     {
         "corruption",
@@ -123,63 +127,67 @@ class CellPair:
         cell.update(**{name: value for name, value in wanted.items() if value != getattr(cell.state, name)})
 
 
-def cells_of(model: ReviewModel, state: ReviewState, last_corruption: str = "") -> tuple[ReviewState, ReviewState]:
-    """Two states that are compared side by side.
+def cells_of(model: ReviewModel, state: ReviewState, last_corruption: str = "") -> list[ReviewState]:
+    """Two to four states that are compared side by side.
 
-    Two methods where two are shown; clean and corrupted sweeps; the same episode with other eyes or another driver;
-    else the drive's first two methods, or clean sweeps and the last corruption.
+    Methods where several are shown, clean and corrupted sweeps, or two methods on both; the same episode with other
+    eyes or another driver; else the drive's first two methods, or clean sweeps and the last corruption.
 
     Args:
         last_corruption: kind of the last corruption, "" for none.
     """
-    methods = model.methods(state.drive)
-    if len(state.methods) > 1:
-        first, second = state.methods[:2]
-        return replace(state, methods=(first,)), replace(state, methods=(second,))
-    if state.corruption != CLEAN:
-        return replace(state, corruption=CLEAN, parameters=()), state
+    methods, clean = model.methods(state.drive), replace(state, corruption=CLEAN, parameters=())
+    if len(state.methods) > 1 or state.corruption != CLEAN:
+        sweeps = [state] if state.corruption == CLEAN else [clean, state]
+        shown = [(name,) for name in state.methods] if len(state.methods) > 1 else [state.methods]
+        return [replace(one, methods=own) for one in sweeps for own in shown[: MOST // len(sweeps)]]
     if twins := model.twins(state.drive):
-        return state, replace(state, drive=next((one for one in twins if one > state.drive), twins[0]))
+        return [state, *(replace(state, drive=one) for one in sorted(twins, key=lambda one: one < state.drive))][:MOST]
     if len(methods) > 1:
-        shown = model.method(state)
-        other = next(name for name in methods if name != shown)
-        return replace(state, methods=(shown,)), replace(state, methods=(other,))
-    return state, replace(state, corruption=last_corruption or next(iter(CORRUPTIONS)))
+        shown_first = model.method(state)
+        other = next(name for name in methods if name != shown_first)
+        return [replace(state, methods=(name,)) for name in (shown_first, other)]
+    return [state, replace(state, corruption=last_corruption or next(iter(CORRUPTIONS)))]
 
 
-def compare_address(left: str, right: str) -> str:
-    """Address of two cells by their links."""
-    return f"{PATH}?left={quote(left, safe='')}&right={quote(right, safe='')}"
+def compare_address(*links: str) -> str:
+    """Address of cells by their links."""
+    return f"{PATH}?{urlencode([(CELL, link) for link in links], quote_via=quote, safe='')}"
+
+
+def links_of(query: str) -> list[str]:
+    """Links of the cells of an address, at most `MOST`; the query itself where it is no address of cells."""
+    query = query.lstrip("?")
+    return [link for name, link in parse_qsl(query, keep_blank_values=True) if name == CELL][:MOST] or [query]
 
 
 HTML = """<!doctype html><html><head><meta charset="utf-8"><title>Review: side by side</title><style>
 html,body{margin:0;height:100%;background:#0a0c11;overflow:hidden}
-main{display:flex;height:100%;gap:2px}
-section{position:relative;flex:1;min-width:0}
+main{display:grid;height:100%;gap:2px;grid-template-columns:1fr 1fr;grid-auto-rows:1fr}
+section{position:relative;min-width:0;min-height:0}
 iframe{width:100%;height:100%;border:0}
 h1{position:absolute;left:14px;top:12px;margin:0;padding:5px 12px;pointer-events:none;border-radius:7px;
  font:600 14px/1.3 system-ui,"Segoe UI",Roboto,"DejaVu Sans",sans-serif;color:#fff;background:rgba(13,16,23,.8);
  border:1px solid rgba(148,163,184,.25)}
 </style></head><body><main></main><script>
-const asked=new URLSearchParams(location.search),pair=Math.random().toString(36).slice(2),links={};
+const links=new URLSearchParams(location.search).getAll('__CELL__').slice(0,__MOST__);
+const pair=Math.random().toString(36).slice(2);
 const drive=link=>new URLSearchParams(link).get('drive')||'0';
 const title=link=>{const q=new URLSearchParams(link),k=q.get('corruption')||'clean',parts=[];
- if(drive(asked.get('left'))!==drive(asked.get('right')))parts.push('drive '+drive(link));
+ if(links.some(one=>drive(one)!==drive(links[0])))parts.push('drive '+drive(link));
  if(q.get('methods'))parts.push(q.get('methods').split('|').map(decodeURIComponent).join(', '));
  if(q.get('cooperative')==='0')parts.push('ego alone');
  parts.push(k==='clean'?k:k.replaceAll('_',' ')+' '+(q.get('severity')||3));return parts.join(' \\u00b7 ');};
-for(const side of ['left','right']){
- links[side]=asked.get(side)||'';
+const frames=links.map((link,number)=>{
  const cell=document.createElement('section'),frame=document.createElement('iframe');
- frame.id=side;frame.src='/?'+[links[side],'fixedDpr=1','pair='+pair].filter(Boolean).join('&');
- const name=document.createElement('h1');name.textContent=title(links[side]);
- cell.append(frame,name);document.querySelector('main').append(cell);}
+ frame.id='cell'+number;frame.src='/?'+[link,'fixedDpr=1','pair='+pair+'.'+number].filter(Boolean).join('&');
+ const name=document.createElement('h1');name.textContent=title(link);
+ cell.append(frame,name);document.querySelector('main').append(cell);return frame;});
 addEventListener('message',e=>{
- if(e.origin!==location.origin||typeof e.data?.review!=='string')return;
- for(const side in links){const frame=document.getElementById(side);
-  if(frame.contentWindow!==e.source)continue;
-  links[side]=e.data.review;frame.nextSibling.textContent=title(links[side]);
-  history.replaceState(null,'',location.pathname+'?'+Object.entries(links).map(
-   ([k,v])=>k+'='+encodeURIComponent(v)).join('&'));}});
-document.getElementById('left').addEventListener('load',e=>e.target.contentWindow.focus());
-</script></body></html>"""
+ const number=frames.findIndex(frame=>frame.contentWindow===e.source);
+ if(e.origin!==location.origin||typeof e.data?.review!=='string'||number<0)return;
+ links[number]=e.data.review;frames[number].nextSibling.textContent=title(links[number]);
+ history.replaceState(null,'',location.pathname+'?'+links.map(
+  link=>'__CELL__='+encodeURIComponent(link)).join('&'));});
+frames[0]?.addEventListener('load',e=>e.target.contentWindow.focus());
+</script></body></html>""".replace("__CELL__", CELL).replace("__MOST__", str(MOST))

@@ -15,7 +15,7 @@ from dsrc.review.errors.notes import NoteBook
 from dsrc.review.errors.overview import Overview
 from dsrc.review.errors.report import RunReport
 from dsrc.review.model import ReviewModel
-from dsrc.review.page.cameras import CameraPose
+from dsrc.review.page.cameras import BrowserCamera, CameraPose
 from dsrc.review.state import Camera, ReviewState
 from dsrc.review.view import FrameView
 from dsrc.review.worker import JobProgress, Worker
@@ -54,12 +54,18 @@ class Page(Protocol):
         using_model: to be held while the model is asked.
         worker: detects over whole runs in the background.
         notes: on the errors, None where they cannot be kept.
+        client: the browser.
+        camera: of the browser.
+        place: of this cell among those side by side, from the upper left.
     """
 
     model: ReviewModel
     using_model: threading.Lock
     worker: Worker
     notes: NoteBook | None
+    client: viser.ClientHandle
+    camera: BrowserCamera
+    place: int
     gui: viser.GuiApi
     scene: viser.SceneApi
     state: ReviewState
@@ -129,8 +135,11 @@ class Page(Protocol):
     def look(self, pose: CameraPose) -> None:
         """Set the camera to a pose in the scene, that of another cell."""
 
+    def views(self) -> list[tuple[ReviewState, CameraPose | None]]:
+        """States and cameras of the cells, from the upper left, or of this one page."""
+
     def side_by_side(self) -> None:
-        """Open two cells with linked cameras, or go back to one page from there."""
+        """Open cells with linked cameras, or go back to one page from there."""
 
     def on_close(self, run: Callable[[], None]) -> None:
         """Run a function once the browser is gone."""

@@ -66,6 +66,7 @@ class Session:
         client: the browser; a server does in its place.
         camera, stage, address: of this browser; the address shows what is drawn.
         pair: cells side by side that this one belongs to, None for a page of its own.
+        place: of this cell among them, from the upper left.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class Session:
             and (state.object_id is not None or state.detection is not None)
         )
         self.pair: CellPair | None = None
+        self.place = 0
         self._refresh_at, self._busy, self._version = 0.0, False, 0
         self._seen_frames = model.frame_count(state.drive)
         self._world_of, self._placed = world_of, -1
@@ -242,6 +244,8 @@ class Session:
             wanted = to_detect(self.model, state)
         for method, setup in wanted:
             self.worker.detect(self.model.stores[state.drive], method, setup, state.frame)
+        # A short one may end between two looks at it.
+        self._busy = True
         with self._changed:
             self._changed.notify_all()
 
@@ -288,7 +292,7 @@ class Session:
 
     def download(self, name: str, content: str) -> None:
         """Give the browser a text file."""
-        self.client.send_file_download(name, content.encode())
+        self.client.send_file_download(name, content.encode(), save_immediately=True)
 
     def place_camera(self, camera: Camera) -> None:
         """Place the camera as a preset has it and let it move with what the preset follows."""
@@ -513,15 +517,20 @@ class Session:
         with self.client.atomic():
             self.camera.set(pose, own=False)
 
+    def views(self) -> list[tuple[ReviewState, CameraPose | None]]:
+        """States and cameras of the cells, from the upper left, or of this one page."""
+        cells = sorted(self.pair.cells, key=lambda cell: cell.place) if self.pair is not None else [self]
+        return [(cell.state, cell.camera.pose) for cell in cells]
+
     def side_by_side(self) -> None:
-        """Open two cells with linked cameras, or go back to one page from there."""
+        """Open cells with linked cameras, or go back to one page from there."""
         pose = self.camera.pose
         if self.pair is not None:
             address = f"/?{write_link(self.model, self.state, pose)}"
         else:
             with self.using_model:
-                left, right = cells_of(self.model, self.state, self.last_corruption)
-            address = compare_address(*(write_link(self.model, one, pose) for one in (left, right)))
+                cells = cells_of(self.model, self.state, self.last_corruption)
+            address = compare_address(*(write_link(self.model, one, pose) for one in cells))
         self.client.local_storage.set_item(OPEN_KEY, address)
 
     def _camera_moved(self, _: object) -> None:

@@ -43,7 +43,11 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[tuple]:
         for _ in frames or [state.frame]:
             yield np.zeros((size[1], size[0], 3), np.uint8)
 
+    def picture(model: ReviewModel, link: str, size: tuple[int, int], start: ReviewState) -> np.ndarray:
+        return next(pictures(model, link, size, start=start))
+
     monkeypatch.setattr("dsrc.review.page.output.export.export_pictures", pictures)
+    monkeypatch.setattr("dsrc.review.page.output.export.picture", picture)
     return seen
 
 
@@ -62,15 +66,14 @@ def test_a_picture_shows_what_options_and_link_say(data: Path, drawn: list[tuple
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"out": "page.html", "frame": 1}, "--out writes a page; leave out --frame"),
-        ({"out": "page.html", "link": "frame=1"}, "--out writes a page; leave out --link"),
-        ({"out": "page.html", "port": 8080}, "--out writes a page; leave out --port"),
+        ({"out": "page.html", "frame": 2, "link": "frame=1"}, "the link says otherwise; leave out --frame"),
+        ({"out": "page.html", "port": 8080}, "it is written without a server; leave out --port"),
         ({"out": "page.html", "size": (640, 480)}, "--size is of pictures; add --picture"),
         ({"out": "page.html", "severity": 4}, "--severity says how sensors are corrupted; add --corruption"),
-        ({"link": "frame=1"}, "--link says what a picture shows; add --picture"),
+        ({"link": "frame=1"}, "--link says what is written; add --out"),
         ({"frames": 7}, "--frames is of pages and animations; add --out"),
         ({"picture": "p.png", "frames": 7}, "--frames is of pages and animations; add --out"),
-        ({"picture": "p.png", "host": "0.0.0.0"}, "a picture is drawn without a server; leave out --host"),
+        ({"picture": "p.png", "host": "0.0.0.0"}, "it is written without a server; leave out --host"),
         (
             {"picture": "p.png", "corrupted_agents": "ego"},
             "--corrupted-agents says how sensors are corrupted; add --corruption",

@@ -12,6 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from dsrc.review.page.offline.overlay import STOP
 from sim.errors import DataError, SettingsError
 from sim.files import write_file
 
@@ -38,12 +39,6 @@ document.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root
 """
 # The player of an exported page is the only one with a slider and without a connection to a server.
 _READY = "document.querySelector('canvas') && (!window.__VISER_EMBED_DATA__ || document.querySelector('[role=slider]'))"
-STOP = """
-(()=>{const slider=document.querySelector('[role=slider]');
-if(window.__VISER_EMBED_DATA__&&slider)
- slider.dispatchEvent(new KeyboardEvent('keydown',{key:'Home',bubbles:true,cancelable:true}));})()
-"""
-"""Pause the player of an exported page and go back to its first frame."""
 
 
 def find_chromium() -> str | None:

@@ -18,6 +18,7 @@ from dsrc.review.page.panels.notes import NotesPanel
 from dsrc.review.page.panels.over_time import OverTimePanel
 from dsrc.review.page.panels.overview import OverviewPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
+from dsrc.review.page.panels.share import SharePanel
 from dsrc.review.page.protocol import Page, Panel
 
 PANELS: tuple[Callable[[Page], Panel], ...] = (
@@ -26,6 +27,7 @@ PANELS: tuple[Callable[[Page], Panel], ...] = (
     EpisodePanel,
     SelectionPanel,
     OverTimePanel,
+    SharePanel,
     OverviewPanel,
     NotesPanel,
     DetectionsPanel,

@@ -146,3 +146,18 @@ def test_errors_leave_as_csv_with_their_notes(errors: ErrorTable, tmp_path: Path
         assert float(line["distance_m"]) == pytest.approx(errors.distance_m[row], abs=0.01)
         assert (line["score"] == "") == bool(np.isnan(errors.score[row]))
         assert (line["class"] == "") == bool(errors.label[row] < 0)
+
+
+def test_views_are_kept_by_name_beside_the_notes(tmp_path: Path) -> None:
+    book, other = NoteBook(tmp_path), NoteBook(tmp_path)
+    book.put_view("the worst", "frame=3&object=1")
+    other.put("key", "a note")
+    other.put_view("snow", "corruption=snow")
+    assert NoteBook(tmp_path).views == {"the worst": "frame=3&object=1", "snow": "corruption=snow"}
+    book.put_view("snow", "corruption=snow&severity=5")
+    book.put_view("the worst", "")
+    again = NoteBook(tmp_path)
+    assert again.views == {"snow": "corruption=snow&severity=5"} and again.get("key").text == "a note"
+    with pytest.raises(DataError, match="views: expected short names"):
+        book.put_view("x" * 61, "frame=1")
+    assert NoteBook(tmp_path).views == again.views

@@ -59,6 +59,9 @@ def test_what_is_compared_is_methods_then_sweeps(model: ReviewModel) -> None:
     assert [one.parameters for one in cells_of(model, tuned)] == [(), tuned.parameters], "clean sweeps have none"
     del model.sources[0].sets["blind"]
     assert [one.corruption for one in cells_of(model, state, "rain")] == ["clean", "rain"]
+    four = cells_of(model, replace(both, corruption="fog"))
+    expected = [(corruption, name) for corruption in ("clean", "fog") for name in ("blind", "detector")]
+    assert [(one.corruption, *one.methods) for one in four] == expected, "two methods on clean and on corrupted sweeps"
 
 
 def test_frames_threshold_and_selection_go_along_and_sweeps_do_not(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
@@ -166,8 +169,8 @@ def test_a_key_opens_the_cells_and_another_press_leaves_them(
     RUN["Side by side, or one page"](session)
     RUN["Side by side, or one page"](cells[1].session)
     (_, address), (_, back) = [one for one in opened if one[0] == OPEN_KEY]
-    assert address.startswith("/compare?left=frame%3D3") and "corruption%3Dfog" in address.split("&right=")[1]
-    assert "corruption" not in address.split("&right=")[0] and back.startswith("/?corruption=fog")
+    assert address.startswith("/compare?cell=frame%3D3") and "corruption%3Dfog" in address.split("&cell=")[1]
+    assert "corruption" not in address.split("&cell=")[0] and back.startswith("/?corruption=fog")
 
 
 def test_the_page_of_the_cells_is_served(app: ReviewApp) -> None:

@@ -310,7 +310,7 @@ def test_notes_are_of_one_drive_one_ego_and_its_cooperation(
 
 def test_the_list_is_saved_with_its_notes(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
-    monkeypatch.setattr(session.client, "send_file_download", lambda name, content: given.append((name, content)))
+    monkeypatch.setattr(session.client, "send_file_download", lambda name, content, **_: given.append((name, content)))
     errors = panel(session, ErrorsPanel)
     wait_for(lambda: errors._report is not None)
     errors._save()

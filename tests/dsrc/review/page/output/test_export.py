@@ -145,8 +145,8 @@ def test_export_takes_a_folder_and_a_slice(tmp_path: Path, frame: Frame) -> None
     for frames in (0, -3, slice(5, 9)):
         with pytest.raises(SettingsError, match="frames"):
             export_html(tmp_path / "data", tmp_path / "other.html", frames=frames)
-    with pytest.raises(SettingsError, match="drive: expected 0 to 0, found 3"):
-        export_html(tmp_path / "data", tmp_path / "other.html", drive=3)
+    with pytest.raises(SettingsError, match="link: drive: expected drive, found 3"):
+        export_html(tmp_path / "data", tmp_path / "other.html", link="drive=3")
     with pytest.raises(SettingsError, match="unknown corruption"):
         export_html(tmp_path / "data", tmp_path / "other.html", corruption="fogg")
     with pytest.raises(DataError):

@@ -1,0 +1,196 @@
+"""Overlay of exported pages and pictures: title, legend and counts; beside them card, plots over time and gallery.
+
+viser leaves its panels out of exported pages, so these are plain HTML. They say what is drawn, not what the player's
+slider stands at: each frame moves a node of the scene to its number, and they read it there. Where a later viser has no
+such place, the counts of the first frame stay.
+"""
+
+import json
+import re
+from dataclasses import dataclass
+from html import escape
+
+from dsrc.review.page.browser import HONEST_COLORS, NOTICE
+from dsrc.review.page.cameras import CameraPose
+from dsrc.review.palette import Rgb, css
+from dsrc.review.texts import box_legend, fate_legend, scale_bar
+from dsrc.review.view import OTHER_TRUTH, FrameView
+
+SHOWN = "/shown"
+"""Node of the scene whose x, m, is the number of the drawn frame, from 1: a player that goes back sets it to 0."""
+
+STOP = """
+(()=>{const slider=document.querySelector('[role=slider]');
+if(window.__VISER_EMBED_DATA__&&slider)
+ slider.dispatchEvent(new KeyboardEvent('keydown',{key:'Home',bubbles:true,cancelable:true}));})()
+"""
+"""Pause the player of an exported page and go back to its first frame."""
+
+_CSS = """
+#review,#review-side{position:absolute;z-index:5;top:14px;padding:14px 16px 12px;box-sizing:border-box;
+ font:13px/1.45 system-ui,"Segoe UI",Roboto,"DejaVu Sans",sans-serif;color:#dbe3ee;background:rgba(13,16,23,.80);
+ border:1px solid rgba(148,163,184,.20);border-radius:10px;user-select:none}
+#review{left:16px;max-width:min(330px,80vw)}
+#review-side{right:16px;width:330px;max-width:46%;max-height:calc(100% - 110px);overflow:auto}
+#review-side p{margin:0 0 .5em;font-size:13px}
+#review-side table{margin:0!important;font-size:12px!important}
+#review-side svg{cursor:default!important;margin-top:6px}
+#review-side summary{cursor:pointer;margin-top:8px}
+#review h1{margin:0 0 1px;font-size:15px;font-weight:650;color:#fff;letter-spacing:.01em}
+#review p{margin:0;color:#93a1b5;font-size:12px}
+#review ul{list-style:none;margin:9px 0 0;padding:8px 0 0;border-top:1px solid rgba(148,163,184,.18)}
+#review li{display:flex;align-items:center;gap:9px;padding:1.5px 0}
+#review i{flex:none;width:10px;height:10px;border-radius:50%}
+#review i.box{width:11px;height:11px;border-radius:2px;background:none;border:2px solid;box-sizing:border-box}
+#review i.dash{border-style:dashed}
+#review b{margin-left:auto;padding-left:16px;font-weight:600;color:#fff;font-variant-numeric:tabular-nums}
+#review small{margin-left:auto;padding-left:16px;color:#7c8aa0;font-size:12px;font-variant-numeric:tabular-nums}
+#review nav{display:flex;gap:6px;margin-top:10px}
+#review button{flex:1;padding:4px 0;font:inherit;font-size:12px;color:#cbd5e1;cursor:pointer;border-radius:6px;
+ background:rgba(148,163,184,.12);border:1px solid rgba(148,163,184,.22)}
+#review button:hover{background:rgba(148,163,184,.28);color:#fff}
+"""
+
+_JS = """
+(()=>{const d=window.__REVIEW__,$=i=>document.getElementById(i);let last=0;
+const show=k=>{if(k===last)return;last=k;const f=d.frames[k];
+ for(const n in f){const e=$('review-'+n);if(e)e.innerHTML=f[n];}};
+const tick=()=>{const m=window.__viserMutable,p=m&&m.nodePoseData['__SHOWN__'],k=p?Math.round(p.position[0])-1:-1;
+ if(d.frames[k])show(k);};
+setInterval(tick,50);
+const still=d.stop&&setInterval(()=>{if(document.querySelector('[role=slider]')){clearInterval(still);__STOP__}},50);
+const turn=([w,x,y,z],[a,b,c])=>{const u=2*(y*c-z*b),v=2*(z*a-x*c),t=2*(x*b-y*a);
+ return[a+w*u+y*t-z*v,b+w*v+z*u-x*t,c+w*t+x*v-y*u];};
+for(const b of document.querySelectorAll('#review button'))b.onclick=()=>{
+ const m=window.__viserMutable,p=d.cameras[b.dataset.camera];if(!m||!m.cameraControl||!p)return;
+ const q=m.nodePoseData[''].wxyz;
+ m.cameraControl.setLookAt(...turn(q,p.slice(0,3)),...turn(q,p.slice(3)),true);};
+window.addEventListener('keydown',e=>{const b=document.querySelector('#review button[data-key="'+e.key+'"]');
+ if(b&&!/INPUT|TEXTAREA/.test(document.activeElement.tagName))b.click();});
+})();
+""".replace("__SHOWN__", SHOWN).replace("__STOP__", STOP)
+
+_CELLS = """<!doctype html><html><head><meta charset="utf-8"><title>Review: side by side</title><style>
+html,body{margin:0;height:100%;background:#0a0c11;overflow:hidden}
+main{display:grid;height:100%;gap:2px;grid-template-columns:1fr 1fr;grid-auto-rows:1fr}
+iframe{width:100%;height:100%;border:0}
+</style></head><body><main></main><script>
+const [before,after,cells]=__PAGES__;let leads=null;
+const frames=cells.map((own,number)=>{const frame=document.createElement('iframe');frame.id='cell'+number;
+ frame.srcdoc=before+own[0]+after+own[1];document.querySelector('main').append(frame);
+ for(const kind of ['pointerenter','focusin'])frame.addEventListener(kind,()=>{leads=frame;});return frame;});
+setInterval(()=>{const of=frame=>frame.contentWindow.__viserMutable?.cameraControl,from=leads&&of(leads);
+ if(from)for(const frame of frames)if(frame!==leads&&of(frame))of(frame).fromJSON(from.toJSON(),false);},50);
+</script></body></html>"""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraButton:
+    """Camera button: name, key and pose in the review frame."""
+
+    name: str
+    key: str
+    pose: CameraPose
+
+
+def frame_texts(view: FrameView, subtitle: str) -> dict[str, str]:
+    """Texts of the legend that change with the frame, by id."""
+    texts = {"subtitle": subtitle, "time": f"frame {view.index} · {view.time_s:.1f} s"}
+    texts |= {f"points-{one.agent_id}": f"{one.total // 1000}k points" for one in view.agents if one.total >= 1000}
+    other = len(view.layers[OTHER_TRUTH])
+    if view.help is not None:
+        found, made = (sum(map(len, boxes)) for boxes in (view.help.found, view.help.made))
+        counted = {"found": found, "made": made, "harmed": len(view.help.harmed), "missed": len(view.help.missed)}
+        return texts | {name: str(count) for name, count in counted.items()} | {"other": str(other)}
+    if not view.labelled:
+        return {**texts, "detected": str(view.detected)}
+    if view.counts is None:
+        return {**texts, "objects": str(len(view.truth) - other), "other": str(other)}
+    counts = view.counts
+    share = [("precision", counts.precision), ("recall", counts.recall)]
+    texts |= {"tp": str(counts.tp), "fp": str(counts.fp), "fn": str(counts.fn)}
+    return texts | {name: "–" if value is None else f"{value:.2f}" for name, value in share}
+
+
+def overlay(texts: list[dict[str, str]], views: list[FrameView], cameras: list[CameraButton], gallery: str = "") -> str:
+    """HTML of the overlay with the texts of the first frame.
+
+    Args:
+        texts: `frame_texts` of every frame; `card` and `plots` are of the panel on the right.
+        views: all frames: a row for every agent and every kind of box of any of them.
+        gallery: HTML of the pictures of the errors, "" for none.
+    """
+    first, rows = views[0], {agent.agent_id: agent for view in views for agent in view.agents}
+    said = dict.fromkeys((name for one in texts for name in one), "") | texts[0]
+
+    def own(name: str, element: str) -> str:
+        return f'<{element} id="review-{name}">{said.get(name, "")}</{element}>'
+
+    agents = "".join(
+        _row(agent.rgb, "", escape(f"{agent.title}{' · ego' if agent.is_ego else ''}"),
+             own(f"points-{agent.agent_id}", "small"))
+        for agent in rows.values()
+    )  # fmt: skip
+    if bar := scale_bar(first.color_by):
+        agents += f'<li style="display:block;margin-top:6px">{bar}</li>'
+    if fates := fate_legend(first):
+        agents += "</ul><ul>" + "".join(_row(rgb, "", text, "") for rgb, text in fates)
+    boxes = "".join(
+        _row(rgb, "box dash" if text.endswith("dashed") else "box", text, own(name, "b"))
+        for rgb, text, name in dict.fromkeys(row for view in views for row in box_legend(view))
+        if name
+    )
+    boxes += "".join(f"<li>{name}{own(name, 'b')}</li>" for name in ("precision", "recall") if name in said)
+    buttons = "".join(
+        f'<button data-camera="{c.name}" data-key="{c.key}" title="key {c.key}">{c.name}</button>' for c in cameras
+    )
+    side = "".join(own(name, "div") for name in ("card", "plots") if any(one.get(name) for one in texts))
+    side += f"<details><summary>Errors by cause</summary>{gallery}</details>" if gallery else ""
+    return (
+        f'<style>{_CSS}</style><div id="review"><h1>{escape(first.drive)}</h1>{own("subtitle", "p")}'
+        f"{own('time', 'p')}<ul>{agents}</ul><ul>{boxes}</ul>{f'<nav>{buttons}</nav>' if buttons else ''}</div>"
+        + (f'<div id="review-side">{side}</div>' if side else "")
+    )
+
+
+def overlay_script(texts: list[dict[str, str]], cameras: list[CameraButton], stop: bool) -> str:
+    """Script element that keeps the overlay in step with the player.
+
+    Args:
+        stop: stand at the first frame until the player is started.
+    """
+    names = dict.fromkeys((name for one in texts for name in one), "")
+    data = {
+        "frames": [names | one for one in texts],
+        "cameras": {camera.name: [*camera.pose.position.tolist(), *camera.pose.look_at.tolist()] for camera in cameras},
+        "stop": stop,
+    }
+    return f"<script>window.__REVIEW__={script_json(data)};{_JS}{HONEST_COLORS}{NOTICE}</script>"
+
+
+def script_json(data: object) -> str:
+    """JSON that may stand in a script element: `</` in a drive's name would end it."""
+    return json.dumps(data, separators=(",", ":")).replace("</", "<\\/").replace("<!--", "<\\u0021--")
+
+
+def cells_html(pages: list[tuple[str, str]]) -> str:
+    """HTML of up to four pages with one camera.
+
+    Args:
+        pages: page of the player and overlay of each cell.
+    """
+    data = re.compile(r'(?<=__VISER_EMBED_DATA__=")[^"]*')
+    before, after = data.split(pages[0][0], maxsplit=1)
+    cells = [[*data.findall(page), body] for page, body in pages]
+    return _CELLS.replace("__PAGES__", script_json([before, after[: after.rindex("</body>")], cells]))
+
+
+def page_html(page: str, body: str, title: str) -> str:
+    """HTML of a player's page with an overlay."""
+    head, end = page.index("</head>"), page.rindex("</body>")
+    return f"{page[:head]}<title>{escape(title)}</title>{page[head:end]}{body}{page[end:]}"
+
+
+def _row(rgb: Rgb, kind: str, label: str, end: str) -> str:
+    style = f"{'border-color' if kind else 'background'}:{css(rgb)}"
+    return f'<li><i class="{kind}" style="{style}"></i>{label}{end}</li>'
