@@ -246,14 +246,14 @@ def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool
         return texts
     words, line, met = [], model.timeline(state.drive), model.meeting(state.drive)
     if view.moment is not None and line is not None:
-        log = getattr(model.sources[state.drive], "log", None)
-        if met is not None and log is not None and not met.explained:
-            met.explain(log)
+        explain = getattr(model.sources[state.drive], "explain", None)
+        if met is not None and explain is not None and not met.explained:
+            explain()
         words += [f"**{quoted(met.why)}**"] if met is not None and met.why else []
         words.append(moment_report(view.moment, line, view.index))
     if view.details is not None:
         words.append(selection_report(view.details))
-        for row in (history := model.histories[state.drive]).lacking() if state.object_id is not None else ():
+        for row in (history := model.histories[state.drive]).lacking():
             history.read(row)
     return texts | {"card": html_of("\n\n".join(words)), "plots": over_time(model, state, view)}
 
