@@ -143,6 +143,13 @@ class PerceptionClock:
                 percept = self._own.believed_percept(percept, now.boxes[row : row + 1], time_s)
             if not self._own.missed(time_s):
                 self._waiting.append((self._own.latency_s(time_s, self._settings.latency_s), percept))
+        elif (overhear := getattr(self._perception, "overhear", None)) is not None and not self.failure:
+            try:
+                overhear(before, now, claims)
+            except SettingsError:
+                raise
+            except Exception as error:  # as in `begin`
+                self.failure = _one_line(error)
         self._steps += 1
         there = [now.time_s - percept.time_s >= latency_s - 1e-6 for latency_s, percept in self._waiting]
         if not any(there):
@@ -467,13 +474,13 @@ def _agreed(perception: Perception, settings: LoopSettings) -> LoopSettings:
     """Return the settings with the shift of the range that a perception was opened with.
 
     Raises:
-        SettingsError: they ask for another one, or for another interval than that of the helpers' messages.
+        SettingsError: they ask for another one, or for another interval than the one that messages are timed by.
     """
     own = getattr(perception, "look_ahead_s", settings.look_ahead_s)
     if settings.look_ahead_s not in (0.0, own):
         expected = f"that of the perception, {own:g}, or 0"
         raise SettingsError(complaint("drive", "look_ahead_s", expected, f"{settings.look_ahead_s:g}"))
-    interval_s = getattr(perception, "message_interval_s", None)
+    interval_s = getattr(perception, "interval_s", None)
     if interval_s is not None and not math.isclose(interval_s, settings.detect_every_s):
         expected = f"that of the perception, {interval_s:g} (`interval_s` of open_perception)"
         raise SettingsError(complaint("drive", "detect_every_s", expected, f"{settings.detect_every_s:g}"))

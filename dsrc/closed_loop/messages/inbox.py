@@ -77,11 +77,11 @@ class Inbox:
             told: the helpers' honest messages.
 
         Raises:
-            RuntimeError: nobody told where the ego is, see `aim`.
+            RuntimeError: nobody told attackers where the ego is, see `aim`.
         """
-        if self._start_s is None:
+        if self._start_s is None and self._given:
             raise RuntimeError("Inbox.read before aim")
-        sent = [self._attacks.written(one, one.time_s - self._start_s) for one in told]
+        sent = [self._attacks.written(one, one.time_s - (self._start_s or 0.0)) for one in told]
         refused = self._defences.refused(own, sent)
         records = tuple(
             Told(one.sender, len(bad), int(one.false.sum()), int(bad.sum()), int((bad & one.false).sum()), one.attacked)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dsrc.closed_loop.messages.defences import Defence
 from dsrc.closed_loop.messages.inbox import Inbox
 from dsrc.closed_loop.messages.message import Message, Objects
+from dsrc.closed_loop.messages.present import Present
 from dsrc.closed_loop.perception.senses import Senses
 from dsrc.closed_loop.seen_space import SeenSpace, View, seen_of
 from dsrc.closed_loop.types import EgoState, Percept, Told
@@ -32,6 +33,9 @@ from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
+_TURN_S = 0.1
+"""Time of a rotation of most LiDARs, s, in which helpers measure and tell."""
+
 
 class DetectorPerception:
     """Detections in the sweeps of the ego and its helpers; the detector gets no ground truth.
@@ -39,7 +43,10 @@ class DetectorPerception:
     Args:
         cooperative: False leaves the ego alone.
         channel: radio channel between the helpers and the ego.
-        interval_s: time between percepts, s, thus between the helpers' messages.
+        interval_s: time between percepts, s; messages that may be late are measured as often as LiDARs turn, or as
+            this where it is no multiple.
+        moved: messages that are late are moved to the present where agents tell boxes, see
+            `dsrc.closed_loop.messages.present`; for measurements of what that gives.
         look_ahead_s: reaction time of the stopping distance that the detector's range is shifted ahead to cover, s, by
             half its reach at most; 0: no shift.
         engine: execution of the detector's network, for logs.
@@ -63,6 +70,7 @@ class DetectorPerception:
         engine: str = "fused",
         faults: Faults = (),
         defence: Defence = (),
+        moved: bool = True,
     ) -> None:
         self.detector, self.cooperative, self.channel, self.engine = detector, cooperative, channel, engine
         self.faults = faults
@@ -72,7 +80,7 @@ class DetectorPerception:
         if look_ahead_s and getattr(detector.settings, "own_frame", False):
             expected = "0 with a network that encodes clouds in the agents' own frames"
             raise SettingsError(complaint("perception", "look_ahead_s", expected, f"{look_ahead_s:g}"))
-        self._interval_s, self.look_ahead_s = interval_s, look_ahead_s
+        self._interval_s, self.look_ahead_s, self._moved = interval_s, look_ahead_s, moved
         self.defence, self._inbox = defence, Inbox(faults, defence)
         if self._inbox.active and not (cooperative and tells_boxes(detector)):
             expected = "agents that tell boxes, as those of late fusion do, with an attack or a defence"
@@ -84,10 +92,17 @@ class DetectorPerception:
     """Percepts are in the world as the ego believes it."""
 
     @property
-    def message_interval_s(self) -> float | None:
-        """Time between the helpers' messages, s; None without any, or where they arrive at once."""
+    def interval_s(self) -> float | None:
+        """Time between percepts, s, by which messages are timed; None without any, or where they arrive at once."""
         late = self.channel != PRESETS[IDEAL] or any(fault.radio for fault in self.faults)
         return self._interval_s if self.cooperative and late else None
+
+    @property
+    def message_interval_s(self) -> float | None:
+        """Time between the helpers' messages, s; None without any, or where they arrive at once."""
+        turns = 0.0 if self.interval_s is None else self.interval_s / _TURN_S
+        whole = turns > 1.0 and abs(turns - round(turns)) < 1e-6
+        return _TURN_S if whole else self.interval_s
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -100,7 +115,8 @@ class DetectorPerception:
         self._inbox.reset(seed, ego_id)
         self._ego_id = ego_id
         self._past.clear()
-        interval_s = max(self._interval_s, scenario.step_s)
+        interval_s = max(self.message_interval_s or self._interval_s, scenario.step_s)
+        self._present = Present()
         joined = [part.settings for part in getattr(self.detector, "detectors", ())[1:]]
         self._receiver = Receiver(
             self.channel,
@@ -118,14 +134,23 @@ class DetectorPerception:
 
     def sample(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> tuple[Sample, tuple[Link, ...]]:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
-        frame, request = self.senses.frame(before, now, claims), self.detector.settings.request
+        frame, request = self._sense(before, now, claims), self.detector.settings.request
         speed_mps = float(np.linalg.norm(now.velocity[now.row(self._ego_id)]))
         ahead_m = _shift_m(speed_mps, self.look_ahead_s, request.grid.range_m[3])
         sample = make_sample(frame, self._ego_id, request, cooperative=self.cooperative, ahead_m=ahead_m)
-        self._past.appendleft(frame)
         sample, links = self._receiver.receive(self._past, self.senses.index, sample, request.grid)
         none = (Boxes.zeros(),) * len(sample.agent_ids)
         return replace(sample, boxes=Boxes.zeros(), agent_boxes=none), links
+
+    def overhear(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> None:
+        """Let the helpers measure and send between two percepts; arguments as `perceive`."""
+        every_s = self.message_interval_s
+        if every_s is not None and self._past and now.time_s - self._past[0].time_s >= every_s - 1e-6:
+            self._sense(before, now, claims)
+
+    def _sense(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Frame:
+        self._past.appendleft(self.senses.frame(before, now, claims))
+        return self._past[0]
 
     def aim(self, ego: EgoState) -> None:
         """Tell attackers where the ego is and goes."""
@@ -141,7 +166,7 @@ class DetectorPerception:
         told: tuple[Told, ...] = ()
         seen = self._seen(sample, links)
         with one_thread():  # workers beside each other would take the cores from one another
-            if self._inbox.active:
+            if self._inbox.active or (self._moved and self.message_interval_s and tells_boxes(self.detector)):
                 found, told, seen = self._read(sample, links)
             else:
                 found = self.detector.detect(sample)
@@ -191,11 +216,14 @@ class DetectorPerception:
         ]
         mail = self._inbox.read(messages[0], messages[1:])
         # Boxes that nobody changed stay as detected, to the bit.
-        believed = [
-            (_detections(one, world_from_sample) if one.attacked else part)[kept]
-            for one, part, kept in zip(mail.messages, parts, mail.kept, strict=True)
-        ]
-        return detector.joined(believed), mail.told, mail.seen
+        believed = []
+        for one, part, kept in zip(mail.messages, parts, mail.kept, strict=True):
+            objects = (
+                self._present.moved(one, ego.time_s) if self._moved and one.sender != self._ego_id else one.objects
+            )
+            same = objects is one.objects and not one.attacked
+            believed.append((part if same else _detections(objects, world_from_sample))[kept])
+        return detector.joined(believed), mail.told if self._inbox.active else (), mail.seen
 
 
 def tells_boxes(detector: SampleDetector) -> bool:
@@ -208,8 +236,7 @@ def _objects(found: Detections, world_from_sample: NDArray[np.float64]) -> Objec
     return Objects(boxes, found.score.astype(np.float64), np.full((len(boxes), 2), np.nan))
 
 
-def _detections(message: Message, world_from_sample: NDArray[np.float64]) -> Detections:
-    objects = message.objects
+def _detections(objects: Objects, world_from_sample: NDArray[np.float64]) -> Detections:
     return Detections(objects.boxes.transform(invert(world_from_sample)), objects.score.astype(np.float32))
 
 

@@ -45,6 +45,17 @@ def perceive(perception: DetectorPerception, step: int = 0) -> Percept:
     return perception.perceive(instant(step), instant(step + 1), {})
 
 
+def percepts(perception: DetectorPerception, interval_s: float, steps: int) -> list[Percept]:
+    """Return the percepts of traffic of 0.1 s steps; between them the perception overhears."""
+    found = []
+    for step in range(steps):
+        if step % round(interval_s / 0.1) == 0:
+            found.append(perceive(perception, step))
+        else:
+            perception.overhear(instant(step), instant(step + 1), {})
+    return found
+
+
 def test_boxes_come_back_where_they_are_in_the_world_with_scores_and_no_ids() -> None:
     percept = perceive(started())
     np.testing.assert_allclose(np.sort(percept.boxes.center[:, :2], axis=0), np.sort([p[:2] for p in OTHERS], axis=0))
@@ -201,8 +212,20 @@ def test_a_late_channel_shows_the_helper_as_it_was_and_counts_in_percepts() -> N
     arrived = {}
     for interval_s in (0.1, 0.2):
         perception = started(channel=late, interval_s=interval_s)
-        arrived[interval_s] = [len(perceive(perception, step).boxes) for step in range(4)]
-    assert arrived == {0.1: [1, 1, 2, 2], 0.2: [1, 2, 2, 2]}
+        arrived[interval_s] = [len(percept.boxes) for percept in percepts(perception, interval_s, steps=5)]
+    assert arrived == {0.1: [1, 1, 2, 2, 2], 0.2: [1, 2, 2]}
+
+
+@pytest.mark.parametrize(("interval_s", "delay_s", "age_s"), [(0.1, 0.05, 0.1), (0.2, 0.05, 0.1), (0.3, 0.15, 0.2)])
+def test_a_message_is_as_old_as_its_delay_and_a_turn_of_its_sensor_however_seldom_the_ego_detects(
+    interval_s: float, delay_s: float, age_s: float
+) -> None:
+    perception = started(channel=changed(PRESETS["ideal"], medium="fixed", delay_s=delay_s), interval_s=interval_s)
+    (*_, last) = percepts(perception, interval_s, steps=10)
+    assert [link.age_s for link in last.links] == pytest.approx([age_s])
+    at_once = started(interval_s=interval_s)
+    percepts(at_once, interval_s, steps=10)
+    assert at_once.senses.index == len(range(0, 10, round(interval_s / 0.1))), "nothing is late: none between percepts"
 
 
 def test_an_episode_begins_anew_with_reset() -> None:
