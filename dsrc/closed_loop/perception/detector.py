@@ -13,7 +13,7 @@ from dsrc.closed_loop.messages.defences import Defence
 from dsrc.closed_loop.messages.inbox import Inbox
 from dsrc.closed_loop.messages.message import Message, Objects
 from dsrc.closed_loop.messages.present import Present
-from dsrc.closed_loop.perception.senses import Senses
+from dsrc.closed_loop.perception.senses import Senses, sensed_every_s
 from dsrc.closed_loop.seen_space import SeenSpace, View, seen_of
 from dsrc.closed_loop.types import EgoState, Percept, Told
 from dsrc.data.sample import Sample, SampleDetector, make_sample
@@ -32,9 +32,6 @@ from sim.geometry import invert
 from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
-
-_TURN_S = 0.1
-"""Time of a rotation of most LiDARs, s, in which helpers measure and tell."""
 
 
 class DetectorPerception:
@@ -100,9 +97,7 @@ class DetectorPerception:
     @property
     def message_interval_s(self) -> float | None:
         """Time between the helpers' messages, s; None without any, or where they arrive at once."""
-        turns = 0.0 if self.interval_s is None else self.interval_s / _TURN_S
-        whole = turns > 1.0 and abs(turns - round(turns)) < 1e-6
-        return _TURN_S if whole else self.interval_s
+        return None if self.interval_s is None else sensed_every_s(self.interval_s, at_once=False)
 
     @property
     def classes(self) -> tuple[str, ...]:

@@ -8,13 +8,14 @@ import numpy as np
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.open import MODELLED, WITHOUT_SENSOR, parse_perception, uses_helpers
-from dsrc.closed_loop.perception.senses import Senses
+from dsrc.closed_loop.perception.senses import Senses, sensed_every_s
 from dsrc.faults.fault import parse_faults
 from sensors.corruptions import Condition
 from sensors.frame import AgentFrame, Frame
 from sensors.presets import scenario_lidars
 from sensors.recording.mounting import Mount, mount
 from sim.geometry import Array
+from sim.radio import IDEAL
 
 
 class RecastSenses:
@@ -32,7 +33,10 @@ class RecastSenses:
         self._truth = kind in WITHOUT_SENSOR
         self._cooperative = uses_helpers(kind)
         loop = msgspec.convert(settings.loop, LoopSettings)
-        self._every = max(1, round(loop.detect_every_s / settings.scenario.step_s))
+        radio = settings.fault and any(fault.radio for fault in parse_faults(settings.fault, "log"))
+        at_once = self._truth or not self._cooperative or (settings.channel in ("", IDEAL) and not radio)
+        every_s = sensed_every_s(loop.detect_every_s, at_once=at_once)
+        self._every = max(1, round(every_s / settings.scenario.step_s))
         self._times = np.array([tick.actors.time_s for tick in log.ticks])
         self._senses: Senses | None = None
         self._casting = threading.Lock()

@@ -19,6 +19,22 @@ from sim.errors import SettingsError, complaint
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 
+_TURN_S = 0.1
+"""Time of a rotation of most LiDARs, s."""
+
+
+def sensed_every_s(interval_s: float, *, at_once: bool) -> float:
+    """Return the time between sweeps of a perception, s: that between percepts, or a rotation where messages take time.
+
+    Else a message of 50 ms would be as old as the time between two percepts.
+
+    Args:
+        interval_s: time between percepts, s; what is no multiple of a rotation stays.
+        at_once: whether messages arrive when they are sent, or there are none.
+    """
+    turns = interval_s / _TURN_S
+    return _TURN_S if not at_once and turns > 1.0 and abs(turns - round(turns)) < 1e-6 else interval_s
+
 
 class Senses:
     """LiDARs of the ego and its helpers over an episode.
