@@ -40,7 +40,7 @@ class Stream(Enum):
     BUILDING_FOOTPRINTS = "list", 3, ""
     ENCOUNTER_SITE = "list", 4, ""
     FACADES = "list", None, "the seed is the number of buildings"
-    RELIEF = "child", 7, ""
+    RELIEF = "child", 7, "none of the land, 'plots' of what lies beside the streets"
     ROUGHNESS = "child", 8, ""
     BESIDE = "child", 9, "purpose, of what stands beside the roads"
     # Recording

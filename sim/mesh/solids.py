@@ -179,6 +179,7 @@ def slab(
     top: str,
     depth_m: float = 0.0,
     upper: shapely.Geometry | None = None,
+    lower: Height | None = None,
 ) -> MeshPart:
     """Return extruded polygons without a floor: kerbs, walls, blocks.
 
@@ -188,6 +189,7 @@ def slab(
         top: material of the upper face.
         depth_m: how far the sides reach below the road.
         upper: the outline in parts that the upper face is made of; left out: the outline itself.
+        lower: height field below which the sides reach; left out: the same.
     """
     parts = [carpet(shape if upper is None else upper, height, top_m, top)]
     for polygon in rings_of(shape):
@@ -195,9 +197,10 @@ def slab(
         for line in (polygon.exterior, *polygon.interiors):
             around = np.asarray(line.coords)[:, :2]
             base = height(around)
+            foot = base if lower is None else lower(around)
             k = np.arange(len(around) - 1)
             vertices = np.concatenate(
-                [np.column_stack([around, base - depth_m]), np.column_stack([around, base + top_m])]
+                [np.column_stack([around, foot - depth_m]), np.column_stack([around, base + top_m])]
             )
             faces = _band(k, k + 1, k + len(around), k + 1 + len(around))
             # Outlines run with the inside on their left, so the right of the way is outside.

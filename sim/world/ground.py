@@ -4,12 +4,14 @@ from dataclasses import replace
 from functools import lru_cache
 
 import msgspec
+import shapely
 
 from sim.encounters import network_file, with_encounter
 from sim.roads.networks import read_network
 from sim.scenario import Scenario
 from sim.traffic.parking import parked_cars
 from sim.world.highway import highway_streets
+from sim.world.roads.kerbs import kerbs_of, stones
 from sim.world.roads.landscape import uneven_land
 from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.surfaces import pavement
@@ -37,7 +39,11 @@ def streets_of(scenario: Scenario, seed: int) -> Streets:
 @lru_cache(maxsize=_KEPT)
 def _uneven(scenario_json: bytes, seed: int) -> Streets:
     streets = _level(msgspec.json.decode(scenario_json, type=Scenario), seed)
-    return replace(streets, terrain=uneven_land(streets, pavement(streets), seed))
+    paved = pavement(streets)
+    kerbs = kerbs_of(streets, paved, seed)
+    terrain, land = uneven_land(streets, paved, kerbs, seed)
+    shapely.prepare(streets.road)
+    return replace(streets, terrain=terrain, land=land, kerbs=stones(streets, kerbs))
 
 
 def _level(scenario: Scenario, seed: int) -> Streets:

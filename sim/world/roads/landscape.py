@@ -1,12 +1,13 @@
 """Landscape: uneven land around streets, with crowned carriageways, embankments, ditches and rough ground beside them.
 
-A street is level across, apart from its crown: its height is that of the relief along its axis. Beside it the land goes
-over into the relief, as an embankment or a cutting. A network with heights of its own keeps them.
+A street is level across, apart from its crown: its height is that of the relief along its axis. Kerbs raise its
+footways and the land behind them; right behind these rise or fall banks to the plots, and the land goes over into the
+relief, as an embankment or a cutting. A network with heights of its own keeps them.
 
-Values as these sources are commonly quoted; their texts were not at hand: cross-fall of 2.5 % and embankments 1 : 1.5
-and flatter, RASt 06 and RAL (FGSV); ditches, RAS-Ew (FGSV), as wide as five times their depth; roughness of ground,
-random roughness of tilled and grown soil, 6 to 40 mm (Zobeck and Onstad, Tillage and random roughness effects on
-surface storage, 1987).
+Values as these sources are commonly quoted; their texts were not at hand: cross-fall of 2.5 %, also of footways towards
+the gutter, and embankments 1 : 1.5 and flatter, RASt 06 and RAL (FGSV); ditches, RAS-Ew (FGSV), as wide as five times
+their depth; roughness of ground, random roughness of tilled and grown soil, 6 to 40 mm (Zobeck and Onstad, Tillage and
+random roughness effects on surface storage, 1987).
 """
 
 from dataclasses import dataclass
@@ -18,8 +19,9 @@ from scipy.spatial import Delaunay, cKDTree
 
 from sim.geometry import Array
 from sim.streams import Stream, random_generator
+from sim.world.roads.kerbs import KERB_M, RAMP_STEP_M, Kerbs
 from sim.world.roads.markings import offset
-from sim.world.roads.relief import MOTORWAY, TOWN, draw_relief
+from sim.world.roads.relief import MOTORWAY, PLOTS, TOWN, draw_relief
 from sim.world.roads.streets import Lane, Streets
 from sim.world.roads.surfaces import TOWN_SPEED_MPS
 from sim.world.roads.terrain import CELL_M, Facets, Terrain, grid, land_corners, rim
@@ -33,6 +35,8 @@ ROUGH_M = 0.035
 _CROWN_M = 4.0
 _DITCH_BEGINS_M, _DITCH_WIDTH_M = 2.0, 2.5
 _ROUGH_FROM_M, _ROUGH_FULL_M = 0.4, 1.5
+_BANK_M, _FOOTWAY_M = 2.5, 4.0
+"""Width of banks right behind the paved ground, and of footways at most, m."""
 _VERGE_M, _APRON_M = 14.0, 45.0
 """Distances from the paved ground to which the land goes over into the relief, and is meshed finely, m."""
 _VERGE_CELL_M, _APRON_CELL_M, _FAR_CELL_M = 1.3, 6.0, 25.0
@@ -51,26 +55,44 @@ class _Axes:
     speed: Array
 
 
-def uneven_land(streets: Streets, paved: shapely.Geometry, seed: int) -> Terrain:
-    """Return the uneven terrain of streets.
+def uneven_land(streets: Streets, paved: shapely.Geometry, kerbs: Kerbs, seed: int) -> tuple[Terrain, Terrain]:
+    """Return the uneven terrain of carriageways, and on the same triangles that of the land beside them.
 
     Args:
         streets: on their level land, or on that of the heights of their network.
         paved: polygon of footways and pavements.
-        seed: of the relief and the roughness.
+        kerbs: which raise footways and the land behind them.
+        seed: of the relief, the banks and the roughness.
     """
     axes = _axes(streets)
     covered = shapely.union_all([streets.road, streets.rail, paved])
-    xy = _nodes(streets, covered, axes)
+    xy = _nodes(streets, covered, axes, kerbs)
     road, edge = _Region(streets.road), _Region(covered)
     beside_m = edge.outside(xy)
     level = _relief(streets, axes, xy, beside_m, seed)
     level += CROSS_FALL * np.minimum(road.inside(xy), _CROWN_M)
-    level -= DITCH_M * _ditch(axes, xy, beside_m)
+    fast = axes.speed[cKDTree(axes.xy).query(xy)[1]] > TOWN_SPEED_MPS
+    into = (beside_m - _DITCH_BEGINS_M) / _DITCH_WIDTH_M
+    # Beside roads that are too fast for kerbs banks begin behind the ditch.
+    bank = _smooth(np.where(fast, beside_m - _DITCH_BEGINS_M - _DITCH_WIDTH_M, beside_m) / _BANK_M)
+    level += bank * draw_relief(seed, PLOTS, "plots").height(xy)
+    level -= DITCH_M * fast * np.sin(np.pi * np.clip(into, 0.0, 1.0)) ** 2
     rough = np.clip((beside_m - _ROUGH_FROM_M) / (_ROUGH_FULL_M - _ROUGH_FROM_M), 0.0, 1.0)
     level += ROUGH_M * rough * random_generator(seed, Stream.ROUGHNESS).standard_normal(len(xy))
-    nodes, faces = np.column_stack([xy, level]), Delaunay(xy).simplices.astype(np.int64)
-    return Terrain(nodes, faces, Facets(nodes, faces))
+    faces, rise = Delaunay(xy).simplices.astype(np.int64), kerbs.rise(xy)
+    rise += rise / KERB_M * CROSS_FALL * np.minimum(road.outside(xy), _FOOTWAY_M)
+    road_side, land_side = np.column_stack([xy, level]), np.column_stack([xy, level + rise])
+    facets = Facets(road_side, faces)
+    return (
+        Terrain(road_side, faces, facets),
+        Terrain(land_side, faces, Facets(land_side, faces, facets.tree)),
+    )
+
+
+def _smooth(share: Array) -> Array:
+    """Return the way from 0 to 1 without corners, of the shares of it."""
+    share = np.clip(share, 0.0, 1.0)
+    return share**2 * (3.0 - 2.0 * share)
 
 
 def _relief(streets: Streets, axes: _Axes, xy: Array, beside_m: Array, seed: int) -> Array:
@@ -83,15 +105,7 @@ def _relief(streets: Streets, axes: _Axes, xy: Array, beside_m: Array, seed: int
     distance, near = distance.reshape(len(xy), -1), near.reshape(len(xy), -1)
     weight = np.exp((distance[:, :1] ** 2 - distance**2) / (2.0 * _BLEND_M**2))
     street = (weight * relief.height(axes.xy)[near]).sum(axis=1) / weight.sum(axis=1)
-    share = np.clip(beside_m / _VERGE_M, 0.0, 1.0)
-    return streets.terrain.nodes[0, 2] + street + share**2 * (3.0 - 2.0 * share) * (natural - street)
-
-
-def _ditch(axes: _Axes, xy: Array, beside_m: Array) -> Array:
-    """Return (N,) share of the depth of a ditch: beside roads that are too fast for kerbs."""
-    _, near = cKDTree(axes.xy).query(xy)
-    into = np.clip((beside_m - _DITCH_BEGINS_M) / _DITCH_WIDTH_M, 0.0, 1.0)
-    return np.where(axes.speed[near] > TOWN_SPEED_MPS, np.sin(np.pi * into) ** 2, 0.0)
+    return streets.terrain.nodes[0, 2] + street + _smooth(beside_m / _VERGE_M) * (natural - street)
 
 
 def _axes(streets: Streets) -> _Axes:
@@ -119,7 +133,7 @@ def _axis(lane: Lane) -> Array | None:
     return offset(lane.line, lane.kerb_side * 0.5 * lane.width * (-1.0 if lane.opposite else lane.count - 1.0))
 
 
-def _nodes(streets: Streets, covered: shapely.Geometry, axes: _Axes) -> Array:
+def _nodes(streets: Streets, covered: shapely.Geometry, axes: _Axes, kerbs: Kerbs) -> Array:
     """Return the (N, 2) nodes: dense on the paved ground and beside it, fewer far from it."""
     low, high = land_corners(streets.window)
     frame = shapely.box(*streets.window)
@@ -127,8 +141,11 @@ def _nodes(streets: Streets, covered: shapely.Geometry, axes: _Axes) -> Array:
     apron = (covered.buffer(_APRON_M, quad_segs=2) & frame) - covered - verge
     crown = streets.road.buffer(-_CROWN_M, join_style="mitre")
     edges = np.concatenate([_spaced(shape.boundary, CELL_M) for shape in (covered, streets.road, crown)])
-    kept = [rim(low, high), edges, axes.xy[:: round(CELL_M / _ALONG_M)]]
-    for shape, cell_m in ((covered, CELL_M), (verge, _VERGE_CELL_M), (apron, _APRON_CELL_M)):
+    ramps = kerbs.ramps & covered
+    along = _spaced(streets.road.boundary & ramps, RAMP_STEP_M)
+    kept = [rim(low, high), along, edges, axes.xy[:: round(CELL_M / _ALONG_M)]]
+    cells = ((ramps - streets.road, _VERGE_CELL_M), (covered, CELL_M), (verge, _VERGE_CELL_M), (apron, _APRON_CELL_M))
+    for shape, cell_m in cells:
         kept.append(_inside(shape, low, high, max(cell_m, float(np.sqrt(shape.area / _MOST_NODES)))))
     far = grid(low, high, _FAR_CELL_M)
     shapely.prepare(near := shapely.union_all([covered, verge, apron]))

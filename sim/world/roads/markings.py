@@ -34,7 +34,7 @@ def paint(bands: list[tuple[Array, Array]], streets: Streets) -> list[MeshPart]:
     if streets.terrain.flat:
         return [strip(left, right, streets.height, LIFT_M, "marking") for left, right in bands]
     shapes = shapely.make_valid(np.array([shapely.Polygon([*left, *right[::-1]]) for left, right in bands]))
-    return [carpet(streets.terrain.cut(shapely.union_all(shapes)), streets.height, LIFT_M, "marking")]
+    return [carpet(streets.terrain.cut(shapely.union_all(shapes)), streets.terrain.height, LIFT_M, "marking")]
 
 
 def _lane_lines(lane: Lane) -> list[tuple[Array, float]]:

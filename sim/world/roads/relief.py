@@ -33,6 +33,8 @@ class ReliefBounds:
 
 
 TOWN = ReliefBounds((0.05, 0.12), 1.0 / 250.0, (100.0, 900.0))
+PLOTS = ReliefBounds((0.15, 0.30), 1.0 / 12.0, (25.0, 80.0))
+"""Of plots and verges beside the street, some decimetres above and below it: no source but looking at streets."""
 MOTORWAY = ReliefBounds((0.03, 0.06), 1.0 / 3000.0, (500.0, 4000.0))
 
 
@@ -69,9 +71,9 @@ class Relief:
         return (np.cos(xy @ self.wave.T + self.phase) * self.amplitude) @ self.wave
 
 
-def draw_relief(seed: int, bounds: ReliefBounds) -> Relief:
+def draw_relief(seed: int, bounds: ReliefBounds, *purpose: str) -> Relief:
     """Draw the relief of a place; all its waves are equally steep."""
-    rng = random_generator(seed, Stream.RELIEF)
+    rng = random_generator(seed, Stream.RELIEF, *purpose)
     shortest, longest = bounds.wavelength_m
     length = shortest * (longest / shortest) ** rng.uniform(size=_WAVES)
     turn = rng.uniform(0.0, 2.0 * np.pi, _WAVES)

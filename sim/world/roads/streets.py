@@ -66,8 +66,10 @@ class Streets:
         road: polygon of the carriageways and of the junctions between them.
         walk: polygon of footways and crossings off the road.
         rail: polygon of tracks off the road.
-        terrain: height field.
+        terrain: height field; of the carriageways, where `land` has that of all else.
         bays: polygon of parking bays, a part of the road.
+        land: height field beside the carriageways, on the triangles of `terrain`; None where no kerb raises it.
+        kerbs: polygon of the stones between both.
     """
 
     area: Area
@@ -78,10 +80,18 @@ class Streets:
     rail: shapely.Geometry
     terrain: Terrain
     bays: shapely.Geometry = NOTHING
+    land: Terrain | None = None
+    kerbs: shapely.Geometry = NOTHING
 
     def height(self, xy: Array) -> Array:
-        """Return (N,) height of the road or the terrain at (N, 2) positions."""
-        return self.terrain.height(xy)
+        """Return (N,) height of the road or the land at (N, 2) positions."""
+        if self.land is None:
+            return self.terrain.height(xy)
+        on_road = shapely.intersects_xy(self.road, *xy.T)
+        level = np.zeros(len(xy))
+        level[on_road] = self.terrain.height(xy[on_road])
+        level[~on_road] = self.land.height(xy[~on_road])
+        return level
 
 
 def read_streets(net: Network, area: Area | None, margin_m: float, bays: shapely.Geometry = NOTHING) -> Streets:

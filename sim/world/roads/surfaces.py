@@ -2,7 +2,7 @@
 
 import shapely
 
-from sim.mesh.solids import MeshPart, carpet, mesh_part, slab
+from sim.mesh.solids import MeshPart, carpet, mesh_part, rings_of, slab
 from sim.world.roads.streets import Streets
 
 GROUND_BELOW_M = 0.05
@@ -19,16 +19,21 @@ _GAUGE_M = 1.435
 
 def surfaces(streets: Streets) -> list[MeshPart]:
     """Return carriageways, pavements with kerbs, tracks and the ground."""
-    height = streets.height
-    walk, cut = pavement(streets), streets.terrain.cut
-    kerbs, upper = streets.terrain.follow(_kerbs(streets)), streets.terrain.upper
+    height, cut = streets.terrain.height, streets.terrain.cut
+    walk = pavement(streets)
+    if streets.land is None:
+        beside, footway = height, walk
+        kerbs = slab(streets.terrain.follow(_kerbs(streets)), height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M)
+    else:
+        beside, footway = streets.land.height, walk - streets.kerbs
+        kerbs = slab(streets.kerbs, beside, 0.0, "kerb", "kerb", GROUND_BELOW_M, cut(streets.kerbs), height)
     return [
         carpet(cut(streets.road), height, 0.0, "asphalt"),
-        carpet(cut(walk), height, 0.0, "pavement"),
-        carpet(cut(streets.rail - walk), height, -0.01, "gravel"),
-        slab(kerbs, height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M, upper(kerbs)),
+        carpet(cut(footway), beside, 0.0, "pavement"),
+        carpet(cut(streets.rail - walk), beside, -0.01, "gravel"),
+        kerbs,
         *_tracks(streets),
-        ground(streets),
+        *ground(streets, walk),
     ]
 
 
@@ -78,6 +83,24 @@ def _tracks(streets: Streets) -> list[MeshPart]:
     return [slab(bars, streets.height, 0.12, "metal", "metal", 0.02, streets.terrain.upper(bars))]
 
 
-def ground(streets: Streets) -> MeshPart:
-    """Return the ground below everything."""
-    return mesh_part(streets.terrain.nodes - [0.0, 0.0, GROUND_BELOW_M], streets.terrain.faces, "ground")
+def ground(streets: Streets, walk: shapely.Geometry) -> list[MeshPart]:
+    """Return the ground below everything.
+
+    Args:
+        walk: polygon of footways and pavements.
+    """
+    terrain, land = streets.terrain, streets.land
+    if land is None:
+        return [mesh_part(terrain.nodes - [0.0, 0.0, GROUND_BELOW_M], terrain.faces, "ground")]
+    covered = shapely.union_all([streets.road, streets.rail, walk, streets.kerbs])
+    shapely.prepare(covered)
+    triangles = shapely.polygons(terrain.nodes[terrain.faces, :2])
+    below, within = shapely.intersects(covered, triangles), shapely.contains(covered, triangles)
+    edge = shapely.MultiPolygon(
+        rings_of(shapely.geometrycollections(shapely.difference(triangles[below & ~within], covered)))
+    )
+    return [
+        mesh_part(land.nodes - [0.0, 0.0, GROUND_BELOW_M], land.faces[~below], "ground"),
+        carpet(edge, land.height, -GROUND_BELOW_M, "ground"),
+        mesh_part(terrain.nodes - [0.0, 0.0, 2.0 * GROUND_BELOW_M], terrain.faces[below], "ground"),
+    ]

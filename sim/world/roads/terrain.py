@@ -117,13 +117,14 @@ class Facets:
     Args:
         nodes: (N, 3) m.
         faces: (F, 3) rows of `nodes`, none upright.
+        tree: the triangles seen from above, where they are at hand.
 
     Attributes:
         tree: the triangles seen from above.
     """
 
-    def __init__(self, nodes: Array, faces: NDArray[np.int64]) -> None:
-        self.tree = _tree(nodes, faces)
+    def __init__(self, nodes: Array, faces: NDArray[np.int64], tree: shapely.STRtree | None = None) -> None:
+        self.tree = tree or _tree(nodes, faces)
         self._corner = nodes[faces[:, 0]]
         edges = nodes[faces[:, 1:]] - self._corner[:, None]
         self._slope = np.linalg.solve(edges[:, :, :2], edges[:, :, 2:])[:, :, 0]

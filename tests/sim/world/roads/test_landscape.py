@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 import shapely
+import trimesh
 
 from sim.catalog.load import load_scenario
 from sim.mesh.materials import material_index
@@ -11,11 +12,13 @@ from sim.scenario import Scenario
 from sim.world.build import build_world
 from sim.world.buildings.houses import guard_rails
 from sim.world.ground import streets_of
+from sim.world.roads.kerbs import DROPPED_M, KERB_M
 from sim.world.roads.landscape import CROSS_FALL, DITCH_M, ROUGH_M
 from sim.world.roads.markings import offset
 from sim.world.roads.relief import MOTORWAY, TOWN
 from sim.world.roads.streets import Lane, Streets
 from sim.world.roads.surfaces import GROUND_BELOW_M, pavement
+from tests.sim.world.test_world_build import look, names
 
 
 def scenario(name: str = "four_way") -> Scenario:
@@ -40,6 +43,11 @@ def places(lane: Lane) -> np.ndarray:
 def within(streets: Streets, xy: np.ndarray) -> np.ndarray:
     frame = np.array(streets.window)
     return xy[((xy > frame[:2] + 20.0) & (xy < frame[2:] - 20.0)).all(axis=1)]
+
+
+def corners_of(mesh: trimesh.Trimesh, name: str) -> np.ndarray:
+    """Return the (N, 3) corners of the faces of a material."""
+    return np.asarray(mesh.vertices[np.unique(mesh.faces[mesh.face_attributes["material"] == material_index(name)])])
 
 
 def test_along_its_lanes_a_street_is_no_steeper_than_its_land(town: Streets) -> None:
@@ -93,12 +101,22 @@ def test_unpaved_ground_is_rough_and_paved_ground_smooth(town: Streets) -> None:
 
 def test_the_ground_lies_below_what_it_carries_and_the_world_is_closed(town: Streets) -> None:
     mesh = build_world(scenario(), 1)
-    for name, lift in (("asphalt", 0.0), ("marking", 0.01), ("ground", -GROUND_BELOW_M)):
-        corners = mesh.vertices[np.unique(mesh.faces[mesh.face_attributes["material"] == material_index(name)])]
-        np.testing.assert_allclose(corners[:, 2], town.height(corners[:, :2]) + lift, atol=1e-6)
+    assert town.land is not None
+    for name, field, lift in (
+        ("asphalt", town.terrain, 0.0),
+        ("marking", town.terrain, 0.01),
+        ("pavement", town.land, 0.0),
+    ):
+        corners = corners_of(mesh, name)
+        np.testing.assert_allclose(corners[:, 2], field.height(corners[:, :2]) + lift, atol=1e-6)
+    corners = corners_of(mesh, "ground")
+    beside, below = (field.height(corners[:, :2]) - corners[:, 2] for field in (town.land, town.terrain))
+    np.testing.assert_allclose(
+        np.minimum(np.abs(beside - GROUND_BELOW_M), np.abs(below - 2.0 * GROUND_BELOW_M)), 0.0, atol=1e-6
+    )
     land = [material_index(name) for name in ("asphalt", "marking", "pavement", "kerb", "ground")]
     assert np.isfinite(mesh.vertices).all()
-    assert np.isin(mesh.face_attributes["material"], land).sum() < 100_000 and len(mesh.faces) < 220_000
+    assert np.isin(mesh.face_attributes["material"], land).sum() < 105_000 and len(mesh.faces) < 235_000
 
 
 @pytest.mark.parametrize("name", ["highway", "highway_env_intersection"])
@@ -108,15 +126,15 @@ def test_paint_kerbs_and_rails_keep_to_the_ground_between_their_corners(name: st
     streets, mesh = streets_of(scenario(name), 1), build_world(scenario(name), 1)
     triangles, material = np.asarray(mesh.triangles), mesh.face_attributes["material"]
     rails = guard_rails(streets)
-    for chosen, least_m, most_m in (
-        (triangles[material == material_index("marking")], 0.009, 0.011),
-        (triangles[material == material_index("kerb")], -GROUND_BELOW_M, 0.101),
-        (rails.vertices[rails.faces], 0.3, 0.9),
+    for chosen, height, least_m, most_m in (
+        (triangles[material == material_index("marking")], streets.terrain.height, 0.009, 0.011),
+        (triangles[material == material_index("kerb")], streets.terrain.height, -GROUND_BELOW_M - 0.01, KERB_M + 0.03),
+        (rails.vertices[rails.faces], streets.height, 0.3, 0.9),
     ):
         if not len(chosen):  # towns have no guard rails, motorways no kerbs
             continue
         middle = chosen.mean(axis=1)
-        above = middle[:, 2] - streets.height(middle[:, :2])
+        above = middle[:, 2] - height(middle[:, :2])
         assert least_m - 1e-6 < above.min() and above.max() < most_m
         assert np.linalg.norm(chosen - np.roll(chosen, 1, axis=1), axis=2).max() < 6.0
 
@@ -144,3 +162,40 @@ def test_beside_a_motorway_is_a_ditch_and_its_land_is_gentler() -> None:
     edge = shapely.get_coordinates(shapely.shortest_line(streets.road, shapely.points(ditch))).reshape(-1, 2, 2)[:, 0]
     depth = streets.height(edge) - streets.height(ditch)
     assert np.median(depth) == pytest.approx(DITCH_M, abs=0.2)
+
+
+def test_footways_lie_a_kerb_above_the_gutter_and_less_where_people_and_cars_pass(town: Streets) -> None:
+    assert town.land is not None
+    border = shapely.get_coordinates(shapely.segmentize(town.road.boundary & town.kerbs.buffer(0.01), 0.5))
+    border = within(town, border)
+    step = town.land.height(border) - town.terrain.height(border)
+    assert len(border) > 1000 and step.min() > -1e-6 and step.max() < KERB_M + 0.03
+    assert np.mean(np.abs(step - KERB_M) < 0.01) > 0.7 and np.mean(step < KERB_M - 0.02) > 0.05
+    # Crossings of this network end 2 to 3 m before the edge of the carriageway.
+    crossings = [lane.line for lane in town.lanes if lane.kind == "crossing"]
+    ends = [
+        end + 2.0 * (end - other) / np.hypot(*(end - other))
+        for end, other in [*crossings, *(c[::-1] for c in crossings)]
+    ]
+    dropped = step[shapely.dwithin(shapely.MultiPoint(ends), shapely.points(border), 1.2)]
+    assert len(dropped) > 20 and np.median(dropped) == pytest.approx(DROPPED_M, abs=0.01)
+    assert np.quantile(dropped, 0.9) < 0.5 * (DROPPED_M + KERB_M)
+
+
+def test_from_above_the_kerb_ends_at_the_footway_and_the_wall_between_is_closed(town: Streets) -> None:
+    assert town.land is not None
+    mesh, rng = build_world(scenario(), 1), np.random.default_rng(0)
+    border = within(
+        town, shapely.get_coordinates(shapely.segmentize(town.road.boundary & town.kerbs.buffer(0.01), 1.0))
+    )
+    border = border[rng.permutation(len(border))[:2000]]
+    # 5 cm to both sides of the edge: the gutter, and the stone.
+    for shape, field in ((town.road.buffer(-0.05), town.terrain), (town.road.buffer(0.05), town.land)):
+        xy = shapely.get_coordinates(shapely.shortest_line(shape.boundary, shapely.points(border))).reshape(-1, 2, 2)[
+            :, 0
+        ]
+        top = np.column_stack([xy, field.height(xy) + 0.2])
+        down, face = look(mesh, top, [0.0, 0.0, -1.0])
+        on = np.isin(names(mesh, face), ["asphalt", "marking", "kerb", "pavement"])
+        assert on.mean() > 0.9
+        np.testing.assert_allclose(down[on], 0.2, atol=0.012)

@@ -1,0 +1,100 @@
+"""Figures of sweeps on the empty streets of worlds of version 2, at twelve places of each area: medians.
+
+Usage:
+    python -m studies.empty_streets
+    python -m studies.empty_streets helsinki --lidars vlp-32c-av2 --world 1
+"""
+
+import argparse
+
+import numpy as np
+import shapely
+
+from dsrc.data.changes import in_world
+from dsrc.realism.figures import figures_of
+from dsrc.tables.table import Table
+from sensors.presets import get_lidar
+from sensors.scan.lidar import scan
+from sensors.scan.scene import RayScene
+from sensors.spec import LidarSpec
+from sensors.sweep import Sweep
+from sim.boxes import Boxes
+from sim.catalog.load import load_scenario
+from sim.errors import ScenarioError
+from sim.geometry import pose_matrix
+from sim.scenario import Scenario
+from sim.world.build import build_world
+from sim.world.ground import streets_of
+from sim.world.roads.streets import Streets
+
+AREAS = ("four_way", "ingolstadt", "helsinki", "braunschweig")
+LIDARS = ("hdl-64e-kitti", "vlp-32c-av2", "hdl-32e")
+FIGURES = {
+    "standing_5": "share that stands, 5 to 15 m",
+    "standing_15": "the same, 15 to 30 m",
+    "scattered": "leaf-like share of it, 5 to 30 m",
+    "residual": "residual of the ground, m",
+    "slope": "slope of it",
+}
+PLACES = 12
+_FROM_END_M = 5.0
+
+
+def main() -> None:
+    description, _, usage = (__doc__ or "").partition("\n\n")
+    parser = argparse.ArgumentParser(
+        description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("areas", nargs="*", default=AREAS, help="scenarios; default: four areas")
+    parser.add_argument("--lidars", nargs="+", default=LIDARS, help="presets; default: three of data sets")
+    parser.add_argument("--world", type=int, choices=(1, 2), default=2, help="version of the world")
+    parser.add_argument("--seed", type=int, default=1, help="of the world and the places")
+    options = parser.parse_args()
+    try:
+        specs = [get_lidar(name) for name in options.lidars]
+        found = [medians(in_world(load_scenario(name), options.world), specs, options.seed) for name in options.areas]
+    except ScenarioError as error:
+        parser.error(str(error))
+    for row, spec in enumerate(specs):
+        rows = [[title, *(f"{area[row][name]:.3f}" for area in found)] for name, title in FIGURES.items()]
+        print(f"{spec.name}\n\n{Table.of(['', *options.areas], rows, 1).markdown()}")
+
+
+def medians(scenario: Scenario, specs: list[LidarSpec], seed: int) -> list[dict[str, float]]:
+    """Return the medians of each sensor's figures at the places of an area."""
+    streets, scene = streets_of(scenario, seed), RayScene(build_world(scenario, seed))
+    where = places(streets, seed)
+    found = []
+    for spec in specs:
+        samples = [figures_of(sweep_at(scene, streets, spec, place, seed), Boxes.zeros()) for place in where]
+        found.append({name: float(np.median([np.median(one[name]) for one in samples])) for name in FIGURES})
+    return found
+
+
+def places(streets: Streets, seed: int) -> list[tuple[float, float, float]]:
+    """Return x, y and yaw of random places on the lanes of an area, evenly over their length."""
+    rng = np.random.default_rng(seed)
+    lines = [shapely.LineString(lane.line) for lane in streets.lanes if lane.kind == "road" and not lane.internal]
+    lines = [line for line in lines if line.length > 2.0 * _FROM_END_M]
+    share = np.array([line.length for line in lines])
+    frame = shapely.box(*streets.area)
+    found: list[tuple[float, float, float]] = []
+    while len(found) < PLACES:
+        line = lines[int(rng.choice(len(lines), p=share / share.sum()))]
+        at = float(rng.uniform(_FROM_END_M, line.length - _FROM_END_M))
+        (x, y), (ahead_x, ahead_y) = (line.interpolate(at + step).coords[0] for step in (0.0, 0.5))
+        if frame.contains(shapely.Point(x, y)):
+            found.append((x, y, float(np.arctan2(ahead_y - y, ahead_x - x))))
+    return found
+
+
+def sweep_at(scene: RayScene, streets: Streets, spec: LidarSpec, place: tuple[float, float, float], seed: int) -> Sweep:
+    """Return the sweep of an upright sensor at the height of its mount above a place."""
+    x, y, yaw = place
+    z = float(streets.height(np.array([[x, y]]))[0]) + spec.mount_xyz_m[2]
+    pose = pose_matrix([x, y, z], yaw)
+    return scan(scene, spec, pose, pose, 0.0, np.random.default_rng(seed))
+
+
+if __name__ == "__main__":
+    main()
