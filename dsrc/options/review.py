@@ -7,7 +7,9 @@ from tyro.conf import arg
 from dsrc.options.detection import AutoEngine, Checkpoint, Height
 from dsrc.options.fields import CORRUPTIONS, Corrupted, Data, File, Folder, choice
 
-ColorBy = Literal["verdict", "agent", "height", "intensity", "ring", "fate"]
+ColorBy = Literal[
+    "verdict", "agent", "height", "intensity", "ring", "fate", "range", "time", "return", "incidence", "object"
+]
 """What colour means: right and wrong boxes, who saw a point, or a quantity of the points."""
 
 

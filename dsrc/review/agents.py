@@ -59,6 +59,7 @@ def agent_view(
         points=agent.sweep.points if drawn is None else agent.sweep.points.take(drawn, axis=0),
         colors=point_colors(agent.sweep, state.color_by, rgb, body_from_lidar[2], drawn, state.theme),
         total=len(agent.sweep),
+        speed=agent.speed,
         lost=agent.sweep.lost,
         fates=tuple(map(int, fates)),
         lost_points=lost_points,

@@ -106,6 +106,8 @@ class ReviewModel(Judgements):
             layers_off=state.layers_off,
             color_by=state.color_by,
             theme=state.theme,
+            rings=state.rings,
+            ruler=state.ruler,
             point_size_m=state.point_size_m,
             labelled=self.labelled(state.drive),
             details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),

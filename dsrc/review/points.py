@@ -1,5 +1,8 @@
 """Points of a sweep as drawn: subsampling and colours, and which of them a corruption removed."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +16,10 @@ FLOAT16_LIMIT_M = 1000.0
 
 HEIGHT_M = (-0.5, 8.0)
 """Heights above the road between which points are coloured by height, m."""
+RANGE_M = 100.0
+"""Distance at the end of the scale of ranges, m."""
+RETURNS = 3
+"""Return at the end of the scale of returns."""
 GROUND_M = 0.35
 """Height above the road below which points are faint, m."""
 
@@ -80,19 +87,44 @@ def point_colors(
         theme: whose ground the points of the ground fade into.
     """
     chosen = slice(None) if rows is None else rows
-    if color_by == "intensity":
-        # A square root spreads the dark materials that make most of a street.
-        return ramp(np.sqrt(np.clip(sweep.intensity[chosen], 0.0, 1.0)), 0.0, 1.0, VIRIDIS)
-    if color_by == "height":
-        return ramp(_height(sweep.points[chosen], height_of), *HEIGHT_M, TURBO)
-    if color_by == "ring":
-        rings = sweep.spec.rings if sweep.spec is not None else int(sweep.ring.max(initial=0)) + 1
-        return ramp(sweep.ring[chosen].astype(np.float64), 0.0, max(rings - 1, 1), TURBO)
+    if color_by in _SCALES:
+        values, low, high = _SCALES[color_by](sweep, chosen, height_of)
+        return ramp(values, low, high, VIRIDIS if color_by == "intensity" else TURBO)
+    if color_by == "object":
+        ids = sweep.object_id[chosen]
+        # Steps of the golden ratio keep neighbours in the list of ids apart.
+        colors = ramp(np.modf(0.618034 * (ids % 1000))[0], 0.0, 1.0, TURBO)
+        return np.where((ids >= 0)[:, None], colors, np.array(LOOKS[theme].faded, np.uint8)).astype(np.uint8)
     if color_by == "fate":
         table = np.array([FATE_COLORS[f] for f in sorted(FATE_COLORS)], np.uint8)
         return table.take(np.minimum(sweep.fate[chosen], len(table) - 1), axis=0)
     rgb = LOOKS[theme].ink if color_by == "verdict" else agent_rgb
     return _shade(_height(sweep.points[chosen], height_of), sweep.object_id[chosen], rgb, LOOKS[theme].faded)
+
+
+Scale = tuple[NDArray[np.floating], float, float]
+"""Values of points, and those of the ends of the scale."""
+
+
+def _of_ring(sweep: Sweep, chosen: Any, _: NDArray[np.float64]) -> Scale:
+    rings = sweep.spec.rings if sweep.spec is not None else int(sweep.ring.max(initial=0)) + 1
+    return sweep.ring[chosen].astype(np.float64), 0.0, max(rings - 1, 1)
+
+
+def _of_time(sweep: Sweep, chosen: Any, _: NDArray[np.float64]) -> Scale:
+    return sweep.time_offset[chosen], float(sweep.time_offset.min(initial=0)), float(sweep.time_offset.max(initial=0))
+
+
+_SCALES: dict[str, Callable[[Sweep, Any, NDArray[np.float64]], Scale]] = {
+    # A square root spreads the dark materials that make most of a street.
+    "intensity": lambda sweep, chosen, _: (np.sqrt(np.clip(sweep.intensity[chosen], 0.0, 1.0)), 0.0, 1.0),
+    "height": lambda sweep, chosen, height_of: (_height(sweep.points[chosen], height_of), *HEIGHT_M),
+    "ring": _of_ring,
+    "time": _of_time,
+    "range": lambda sweep, chosen, _: (np.linalg.norm(sweep.points[chosen], axis=1), 0.0, RANGE_M),
+    "return": lambda sweep, chosen, _: (sweep.return_number[chosen].astype(np.float64), 1.0, RETURNS),
+    "incidence": lambda sweep, chosen, _: (sweep.cosine[chosen], 0.0, 1.0),
+}
 
 
 def _height(points: NDArray[np.float32], height_of: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ from dsrc.options.review import ColorBy
 from sensors.corruptions import CLEAN, EVERYONE, Changes, Family
 
 Camera = Literal["chase", "bev", "free"]
+Follow = Literal["ego", "selected"]
 
 COLOR_BY: tuple[ColorBy, ...] = get_args(ColorBy)
 BoxesBy = Literal["verdict", "shares"]
@@ -54,6 +55,10 @@ class ReviewState:
         max_points: most points drawn per agent.
         point_size_m: side of a drawn point, m.
         camera: what the camera moves with: the ego and its heading, the ego alone, nothing.
+        follow: what a camera that moves goes with: the ego, or the selected box where there is one.
+        rings: whether circles around the ego are drawn.
+        cut: whether walls and plants end a metre above the start of the ego.
+        ruler: x and y of its ends in the review frame, m; 0, 2 or 4 numbers.
         speed: of playing, in multiples of real time.
         theme: of the page.
         sensor: preset of a sensor that is cast anew, "" for none.
@@ -90,6 +95,10 @@ class ReviewState:
     max_points: int = 60_000
     point_size_m: float = 0.07
     camera: Camera = "free"
+    follow: Follow = "ego"
+    rings: bool = False
+    cut: bool = False
+    ruler: tuple[float, ...] = ()
     speed: float = 1.0
     theme: Theme = "light"
     sensor: str = ""
@@ -136,7 +145,7 @@ def with_changes(state: ReviewState, methods: Callable[[int], Collection[str]], 
     if differ("drive"):
         kept = tuple(name for name in after.methods if name in methods(after.drive))
         after = replace(after, frame=0, ego_id=None, hidden=frozenset(), object_id=None, camera="free")
-        after = replace(after, methods=kept, versus="", error_method="")
+        after = replace(after, methods=kept, versus="", error_method="", ruler=())
     if "parameters" not in changes and differ(*_OF_CORRUPTION):
         after = replace(after, parameters=())
     if "placement" not in changes and differ("drive", "carrier"):

@@ -8,7 +8,7 @@ from html import escape
 from dsrc.options.review import ColorBy
 from dsrc.review import palette
 from dsrc.review.palette import Rgb
-from dsrc.review.points import HEIGHT_M
+from dsrc.review.points import HEIGHT_M, RANGE_M, RETURNS
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 from dsrc.review.view import OTHER_TRUTH, AgentShare, AgentView, DetectionDetails, FrameView, ObjectDetails
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
@@ -177,6 +177,24 @@ def fate_legend(view: FrameView) -> list[tuple[Rgb, str]]:
     return [*fates, (palette.LOST, palette.LOST_NAME)] if view.color_by == "fate" else []
 
 
+def ruler_report(view: FrameView) -> str:
+    """What the ruler measures: distance, heading from the ego's and time at its speed; "" without one."""
+    if len(view.ruler) != _ENDS:
+        return ""
+    x, y = view.ruler[2] - view.ruler[0], view.ruler[3] - view.ruler[1]
+    yaw = math.atan2(view.ego.review_from_body[1, 0], view.ego.review_from_body[0, 0])
+    turn = math.degrees(math.remainder(math.atan2(y, x) - yaw, math.tau))
+    side = "left" if turn > 0.0 else "right"
+    gap = f", {math.hypot(x, y) / view.ego.speed:.1f} s at {view.ego.speed:.1f} m/s" if view.ego.speed > _STANDS else ""
+    return f"{math.hypot(x, y):.1f} m, {abs(turn):.0f}° {side} of the ego's heading{gap}"
+
+
+_ENDS = 4
+"""Numbers of a whole ruler."""
+_STANDS = 0.1
+"""Speed up to which the ego stands, m/s."""
+
+
 def legend(view: FrameView) -> str:
     """HTML of the legend."""
     rows: list[tuple[Rgb, str, bool]] = [(agent.rgb, _title(agent), False) for agent in view.agents]
@@ -238,6 +256,10 @@ def scale_bar(color_by: ColorBy) -> str:
         "intensity": (palette.VIRIDIS, ("0", "intensity", "1"), "¼"),
         "height": (palette.TURBO, (f"{low:g} m", "above the road", f"{high:g} m"), f"{0.5 * (low + high):g} m"),
         "ring": (palette.TURBO, ("top ring", "", "lowest"), ""),
+        "range": (palette.TURBO, ("0 m", "from the sensor", f"{RANGE_M:g} m"), ""),
+        "time": (palette.TURBO, ("first", "in the sweep", "last"), ""),
+        "return": (palette.TURBO, ("return 1", "", f"{RETURNS}"), ""),
+        "incidence": (palette.TURBO, ("grazing", "cosine of incidence", "square"), ""),
     }
     if color_by not in bars:
         return ""

@@ -37,6 +37,7 @@ class AgentView:
         points: (P, 3) float32 in the sensor frame, m.
         colors: (P, 3) uint8.
         total: points of the sweep before thinning.
+        speed: of the carrier, m/s.
         lost: points lost to a corruption.
         fates: number of points of each `Sweep.fate` in the whole sweep.
         lost_points: (L, 3) float32 the lost points that are drawn, in the sensor frame, m.
@@ -52,6 +53,7 @@ class AgentView:
     points: NDArray[np.float32]
     colors: NDArray[np.uint8]
     total: int
+    speed: float = 0.0
     lost: int = 0
     fates: tuple[int, ...] = (0, 0, 0, 0)
     lost_points: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
@@ -228,6 +230,8 @@ class FrameView:
         compared: further methods.
         notice: why detections are missing, or "".
         moment: what the ego of an episode saw, believed and planned; None elsewhere.
+        rings: whether circles around the ego are drawn.
+        ruler: x and y of its ends, m; 0, 2 or 4 numbers.
         help: boxes by who helped, in place of the judged ones; None where they are drawn by their verdict.
     """
 
@@ -254,6 +258,8 @@ class FrameView:
     compared: tuple[MethodView, ...] = ()
     notice: str = ""
     moment: EpisodeMoment | None = None
+    rings: bool = False
+    ruler: tuple[float, ...] = ()
     help: HelpView | None = None
 
     @property

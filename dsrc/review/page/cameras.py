@@ -14,8 +14,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from dsrc.review.state import Camera, ReviewState
-from dsrc.review.view import FrameView
+from dsrc.review.state import Camera, Follow, ReviewState
+from dsrc.review.view import SELECTED, FrameView
 from sim.geometry import invert, pose_angles, pose_matrix
 
 FOV_RAD = 0.9
@@ -39,41 +39,44 @@ class CameraPose:
         return CameraPose(turn @ self.position + shift, turn @ self.look_at + shift, self.up)
 
 
-def _heading(view: FrameView) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
-    """Position (3,) of the ego, its yaw and the (3,) direction ahead, review frame."""
-    body = view.ego.review_from_body
-    yaw = float(pose_angles(body)[0])
-    return body[:3, 3], yaw, np.array([np.cos(yaw), np.sin(yaw), 0.0])
+def _heading(view: FrameView, follow: Follow = "ego") -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+    """Position (3,) of what is followed, its yaw and the (3,) direction ahead, review frame."""
+    body, boxes = view.ego.review_from_body, view.layers[SELECTED]
+    place, yaw = body[:3, 3], float(pose_angles(body)[0])
+    if follow == "selected" and len(boxes):
+        place, yaw = boxes.center[0] - [0.0, 0.0, 0.5 * boxes.size[0, 2]], float(boxes.yaw[0])
+    return place, yaw, np.array([np.cos(yaw), np.sin(yaw), 0.0])
 
 
-def scene_from_review(camera: Camera, view: FrameView) -> NDArray[np.float64]:
+def scene_from_review(camera: Camera, view: FrameView, follow: Follow = "ego") -> NDArray[np.float64]:
     """(4, 4) pose of the review frame in the scene, whose camera stands still.
 
-    The scene is the review frame for a free camera, the ego's planar frame for one that chases it, and a frame at the
-    ego that does not turn for one above it.
+    The scene is the review frame for a free camera, the planar frame of the ego, or of the selected box, for one that
+    chases it, and a frame there that does not turn for one above it.
     """
     if camera == "free":
         return np.eye(4)
-    place, yaw, _ = _heading(view)
+    place, yaw, _ = _heading(view, follow)
     return invert(np.asarray(pose_matrix(place, yaw if camera == "chase" else 0.0), np.float64))
 
 
-def chase(view: FrameView, distance_m: float = 34.0, height_m: float = 21.0, ahead_m: float = 14.0) -> CameraPose:
-    """Pose behind and above the ego, looking ahead of it, review frame."""
-    place, _, forward = _heading(view)
+def chase(view: FrameView, follow: Follow = "ego") -> CameraPose:
+    """Pose behind and above what is followed, looking ahead of it, review frame."""
+    distance_m, height_m, ahead_m = 34.0, 21.0, 14.0
+    place, _, forward = _heading(view, follow)
     return CameraPose(place - distance_m * forward + height_m * UP, place + ahead_m * forward, UP)
 
 
-def birds_eye(view: FrameView, height_m: float = 110.0) -> CameraPose:
-    """Pose above the ego, its heading upwards on the screen, review frame.
+def birds_eye(view: FrameView, follow: Follow = "ego", height_m: float = 110.0) -> CameraPose:
+    """Pose above what is followed, its heading upwards on the screen, review frame.
 
     The viewer has perspective cameras that orbit about an up direction: a small tilt keeps that defined.
     """
-    place, _, forward = _heading(view)
+    place, _, forward = _heading(view, follow)
     return CameraPose(place + height_m * UP - 0.02 * height_m * forward, place, UP)
 
 
-def overview(view: FrameView) -> CameraPose:
+def overview(view: FrameView, _follow: Follow = "ego") -> CameraPose:
     """Pose of the start: high and to the side, with the cooperating agents in view, review frame.
 
     In an episode with whom the ego meets in view, if that is selected.
@@ -100,7 +103,7 @@ def close_to(target: NDArray[np.float64], pose: CameraPose, distance_m: float = 
     return CameraPose(target + distance_m * np.array([0.8 * side[0], 0.8 * side[1], 0.6]), target, UP)
 
 
-PRESETS: dict[str, Callable[[FrameView], CameraPose]] = {"chase": chase, "bev": birds_eye}
+PRESETS: dict[str, Callable[[FrameView, Follow], CameraPose]] = {"chase": chase, "bev": birds_eye}
 """Poses of the cameras that follow; a free one starts with the overview."""
 
 
@@ -158,7 +161,9 @@ class BrowserCamera:
 
     def follow(self, view: FrameView, state: ReviewState) -> NDArray[np.float64]:
         """Place it for a frame, or leave it to the user; return the (4, 4) pose of the review frame in the scene."""
-        after = scene_from_review(state.camera, view)
+        gone = state.follow == "selected" and view.selected is None and self.drawn is not None
+        # What is followed and is gone for a while leaves the picture where it is.
+        after = self.scene_from_review if gone else scene_from_review(state.camera, view, state.follow)
         pose = self._next(view, state, after)
         if pose is not None:
             self.set(pose)
@@ -175,11 +180,11 @@ class BrowserCamera:
             # That of a link is already in the scene.
             return wanted if drawn is None else wanted.moved(after)
         if drawn is None or drawn.drive != state.drive:
-            return PRESETS.get(state.camera, overview)(view).moved(after)
+            return PRESETS.get(state.camera, overview)(view, state.follow).moved(after)
         if preset in PRESETS:
-            return PRESETS[preset](view).moved(after)
+            return PRESETS[preset](view, state.follow).moved(after)
         current = self.pose
-        if drawn.camera != state.camera and current is not None:
+        if (drawn.camera, drawn.follow) != (state.camera, state.follow) and current is not None:
             # The picture stays while the scene moves back.
             return current.moved(after @ invert(self.scene_from_review))
         return None

@@ -160,7 +160,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("Camera: free", "F", lambda page: page.update(camera="free")),
     Command("Camera: to the selected box", "G", fly_to_selection),
     Command("Camera: reset", "R", lambda page: page.reset_camera()),
-    Command("Select nothing", "escape", lambda page: page.update(object_id=None, detection=None)),
+    Command("Select nothing", "escape", lambda page: page.update(object_id=None, detection=None, ruler=())),
     Command("Points of all agents", "0", lambda page: show_only_agent(page, None)),
     *(
         Command(f"Points of agent {row + 1} alone", str(row + 1), partial(show_only_agent, row=row))

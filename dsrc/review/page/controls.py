@@ -223,6 +223,10 @@ CONTROLS: tuple[Control, ...] = (
         "Look",
         link="camera",
     ),
+    Control("follow", Choice(_named({"Ego": "ego", "Selected": "selected"})), "Follow", "Look", link="follow"),
+    Control("ruler", None, link="ruler"),
+    Control("rings", Switch(), "Range rings", "Look", link="rings"),
+    Control("cut", Switch(), "Cut walls", "Look", link="cut"),
     Control("color_by", Choice(_same(*COLOR_BY)), "Colour by", "Look", link="color", key="U"),
     Control(
         "boxes_by",

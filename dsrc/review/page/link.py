@@ -1,5 +1,6 @@
 """Links: a state and a camera as the query of a page's address, and back."""
 
+import math
 import re
 from dataclasses import fields, replace
 from typing import Any
@@ -21,6 +22,8 @@ VIEW = "view"
 
 _FARTHEST_M = 1000.0
 """Farthest place of a sensor on its carrier, m."""
+_FARTHEST_PLACE_M = 1e6
+"""Farthest place in the scene, m: beyond this the browser's numbers lose the metre."""
 _BETWEEN = "|"
 """Between the names of methods, which may hold commas."""
 _DEFAULTS = {field.name: getattr(ReviewState(), field.name) for field in fields(ReviewState)}
@@ -91,7 +94,7 @@ def _text(model: ReviewModel, field: str, value: Any) -> str:
         return name if model.names.count(name) == 1 and _PLAIN.fullmatch(name) else str(value)
     if field == "parameters":
         return ",".join(f"{name}:{number}" for name, number in value)
-    if field == "placement":
+    if field in ("placement", "ruler"):
         return ",".join(f"{number:g}" for number in value)
     if field == "methods":
         return _BETWEEN.join(quote(name, safe="") for name in value)
@@ -114,6 +117,8 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
         return _methods(control, text, shown)
     if control.field == "placement":
         return _placement(control, text)
+    if control.field == "ruler":
+        return _ruler(control, text)
     if control.field == "parameters":
         return _parameters(text, shown.state)
     value = _parsed(control, text)
@@ -149,6 +154,16 @@ def _placement(control: Control, text: str) -> tuple[float, ...]:
     if len(numbers) != len(bounds) or not all(abs(n) <= bound for n, bound in zip(numbers, bounds, strict=True)):
         raise SettingsError(complaint("link", control.link, "five numbers: x, y, z, m, yaw and pitch, degrees", text))
     return numbers
+
+
+def _ruler(control: Control, text: str) -> tuple[float, ...]:
+    try:
+        ends = tuple(float(part) for part in text.split(",") if part)
+    except ValueError:
+        ends = (math.nan,)
+    if len(ends) not in (0, 2, 4) or not all(abs(number) < _FARTHEST_PLACE_M for number in ends):
+        raise SettingsError(complaint("link", control.link, "x and y of one end or of both, m", text))
+    return ends
 
 
 def _parameters(text: str, state: ReviewState) -> Changes:
@@ -189,7 +204,10 @@ def _pose(text: str) -> CameraPose:
         numbers = np.array([float(part) for part in text.split(",")])
     except ValueError:
         numbers = np.zeros(0)
-    # Beyond this the browser's numbers lose the metre.
-    if numbers.shape != (6,) or not (np.abs(numbers) < 1e6).all() or np.allclose(numbers[:3], numbers[3:]):
+    if (
+        numbers.shape != (6,)
+        or not (np.abs(numbers) < _FARTHEST_PLACE_M).all()
+        or np.allclose(numbers[:3], numbers[3:])
+    ):
         raise SettingsError(complaint("link", VIEW, "six numbers: position and point looked at", text))
     return CameraPose(numbers[:3], numbers[3:], UP)

@@ -26,6 +26,7 @@ from dsrc.review.shapes import (
 from dsrc.review.sources.moment import CELL_M
 from dsrc.review.state import EPISODE_LAYERS, Theme
 from dsrc.review.static import StaticPart, body_shape
+from dsrc.review.texts import ruler_report
 from dsrc.review.view import (
     DETECTED_TRUTH,
     FALSE_NEGATIVES,
@@ -67,6 +68,11 @@ _NO_LINES = np.zeros((0, 2, 3), np.float32)
 
 AROUND_M = 0.12
 """Width by which the boxes of each further method are drawn larger, m: they do not cover those of the others."""
+RINGS_M = (10, 25, 50, 75, 100)
+"""Radii of the circles around the ego, m."""
+CUT_M = 1.0
+"""Height above the start of the ego at which walls and plants are cut, m."""
+_CUT = ("buildings", "plants")
 PLAN_M = 0.25
 """Height of the drawn plan and route above the road, m."""
 
@@ -146,8 +152,12 @@ class SceneWriter:
         for kept in (self._nodes, self._drawn, self._clickable):
             kept.clear()
 
-    def place_world(self, parts: Sequence[StaticPart], theme: Theme) -> None:
-        """Draw the static world of a drive, or a grid without one; where it is placed, only its colours change."""
+    def place_world(self, parts: Sequence[StaticPart], theme: Theme, cut: bool = False) -> None:
+        """Draw the static world of a drive, or a grid without one; where it is placed, colours and height change.
+
+        Args:
+            cut: let walls and plants end at `CUT_M`.
+        """
         self._frame("world")
         look = palette.LOOKS[theme]
         if not parts and "world/grid" not in self._nodes:
@@ -165,13 +175,15 @@ class SceneWriter:
         if "world/grid" in self._nodes:
             self._nodes["world/grid"].cell_color, self._nodes["world/grid"].section_color = look.grid
         for part in parts:
-            name = f"world/{part.name}"
+            name, vertices = f"world/{part.name}", part.vertices
+            if cut and part.name in _CUT:
+                vertices = np.minimum(vertices, np.array([np.inf, np.inf, CUT_M], np.float32))
             if name in self._nodes:
-                self._nodes[name].color = look.world[part.name]
+                self._nodes[name].color, self._nodes[name].vertices = look.world[part.name], vertices
                 continue
             self._nodes[name] = self.scene.add_mesh_simple(
                 f"{self.root}/{name}",
-                part.vertices,
+                vertices,
                 part.faces,
                 color=look.world[part.name],
                 opacity=part.opacity,
@@ -207,7 +219,40 @@ class SceneWriter:
         self._frame("links").visible = "links" not in view.layers_off
         self._lines("links/heard", view.linked.astype(np.float32), palette.OTHER, 1.0)
         self._write_moment(view)
+        self._write_rings(view)
+        self._write_ruler(view)
         self._frame("world").visible = "world" not in view.layers_off
+
+    def _write_rings(self, view: FrameView) -> None:
+        """Draw circles around the ego, with their radii ahead of it."""
+        around = np.linspace(0.0, 2.0 * np.pi, 73)
+        circle = np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1)
+        place = view.ego.review_from_body[:3, 3] + [0.0, 0.0, PLAN_M]
+        lines = [polyline(place + radius * circle) for radius in RINGS_M] if view.rings else [_NO_LINES]
+        self._lines("rings/circles", np.concatenate(lines), self._look.ink, 1.0)
+        for radius in RINGS_M:
+            ahead = place + radius * view.ego.review_from_body[:3, 0]
+            self._label(f"rings/{radius}", f"{radius} m" if view.rings else "", ahead)
+
+    def _write_ruler(self, view: FrameView) -> None:
+        """Draw the ruler with what it measures, or a mark at its first end."""
+        ends = np.array(view.ruler, np.float64).reshape(-1, 2)
+        ground = view.ego.review_from_body[2, 3]
+        ends = np.column_stack([ends, np.full(len(ends), ground + 2.0 * PLAN_M)])
+        posts = np.stack([ends, ends + np.array([0.0, 0.0, 1.0])], axis=1).astype(np.float32)
+        lines = np.concatenate([posts, polyline(ends)]) if len(ends) else _NO_LINES
+        self._lines("ruler/line", lines, self._look.ink, 4.0)
+        self._label("ruler/text", ruler_report(view), ends.mean(axis=0) if len(ends) else np.zeros(3))
+
+    def _label(self, name: str, text: str, place: NDArray[np.float64]) -> None:
+        if not text:
+            self._hide(name)
+            return
+        if name not in self._nodes:
+            self._frame(name.split("/")[0])
+            self._nodes[name] = self.scene.add_label(f"{self.root}/{name}", text, font_screen_scale=0.7)
+        node = self._nodes[name]
+        node.text, node.position, node.visible = text, tuple(place), True
 
     def _write_agent(self, agent: AgentView, view: FrameView) -> None:
         name = _agent_node(agent)

@@ -434,6 +434,7 @@ class Session:
         """Draw a state, or tell why that cannot be: the next one is drawn all the same."""
         try:
             self.stage.set_theme(state.theme)
+            self.stage.cut_walls(state.cut)
             self._version = self.model.stores[state.drive].version
             shown = self._moving(state)
             if self.view is None:

@@ -32,6 +32,7 @@ class Stage:
         """
         self._client, self._on_click = client, on_click
         self._theme: Theme | None = None
+        self._cut = False
         self._world: Sequence[StaticPart] | None = None
         self.roots = [client.scene.add_frame(root_of(row), show_axes=False, visible=False) for row in range(drives)]
         self.writer = self._writer_of(0)
@@ -52,11 +53,18 @@ class Stage:
         if self._world is not None:
             self.place_world(self._world)
 
+    def cut_walls(self, cut: bool) -> None:
+        """Let walls and plants end low, or stand as they are."""
+        if self._cut != cut:
+            self._cut = cut
+            if self._world is not None:
+                self.place_world(self._world)
+
     def place_world(self, parts: Sequence[StaticPart]) -> None:
         """Draw the static world of the shown drive."""
         self._world = parts
         with self._client.atomic():
-            self.writer.place_world(parts, self._theme or "light")
+            self.writer.place_world(parts, self._theme or "light", self._cut)
 
     def draw(self, view: FrameView, drive: int, scene_from_review: Callable[[], NDArray]) -> None:
         """Draw a frame in place of the last one.

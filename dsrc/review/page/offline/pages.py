@@ -197,9 +197,9 @@ def _recorded(
     first = views[0]
     # The camera of the page is fixed: the world moves instead.
     follows = states[0].camera if shared else "bev"
-    scene = [scene_from_review(follows, view) for view in views]
+    scene = [scene_from_review(follows, view, states[0].follow) for view in views]
     if pose is None:
-        pose = PRESETS.get(follows, overview)(first) if shared else overview(first)
+        pose = PRESETS.get(follows, overview)(first, states[0].follow) if shared else overview(first)
         if shared and first.selected is not None and first.moment is None:
             pose = close_to(first.selected, pose)
         pose = pose.moved(scene[0])
@@ -211,7 +211,7 @@ def _recorded(
     place_frame(root, scene[0] @ _NEARLY)
     with using_model:
         world = _world(model, drive)
-    writer.place_world(world, theme)
+    writer.place_world(world, theme, states[0].cut)
     serializer = server.get_scene_serializer()
     # The player's end is its beginning: it goes from there to the first time without drawing the first frame.
     for number in [*range(1, len(views)), 0]:

@@ -17,6 +17,7 @@ from dsrc.review.page.panels.gallery import GalleryPanel
 from dsrc.review.page.panels.notes import NotesPanel
 from dsrc.review.page.panels.over_time import OverTimePanel
 from dsrc.review.page.panels.overview import OverviewPanel
+from dsrc.review.page.panels.ruler import RulerPanel
 from dsrc.review.page.panels.sensor_lab import SensorLabPanel
 from dsrc.review.page.panels.share import SharePanel
 from dsrc.review.page.protocol import Page, Panel
@@ -37,5 +38,6 @@ PANELS: tuple[Callable[[Page], Panel], ...] = (
     SensorLabPanel,
     AgentsPanel,
     LookPanel,
+    RulerPanel,
 )
 """The legend, and the panels from the top of the page: a cause is read without scrolling at 1280 x 720."""

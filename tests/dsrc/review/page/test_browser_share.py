@@ -63,7 +63,7 @@ def words(page: BrowserPage, script: str) -> str:
 def test_a_shared_page_opens_offline_with_the_numbers_of_the_live_one(opened: Opened, tmp_path: Path) -> None:
     live = opened.page
     opened.session.detect_all()
-    live.wait_for("document.body.innerText.includes('in 12 of 12 frames')", PATIENCE_S)
+    wait_for(lambda: opened.session.report(opened.session.state).known == 12)
     # The live page reads the run and draws the gallery in the background.
     live.wait_for("document.body.innerText.includes('distance, m')", PATIENCE_S)
     live.wait_for(f"{SENTENCES.replace('__WHERE__', '')}.length>5", PATIENCE_S)
@@ -152,3 +152,23 @@ def test_cells_are_shared_in_one_page_with_one_camera(model: ReviewModel, tmp_pa
         place = "JSON.parse(__CELL__.__viserMutable.cameraControl.toJSON()).position.map(Math.round).join()"
         page.wait_for(f"{place.replace('__CELL__', cell.replace('__N__', '0'))}==="
                       f"{place.replace('__CELL__', cell.replace('__N__', '3'))}", PATIENCE_S)  # fmt: skip
+
+
+def test_a_ruler_laid_by_two_clicks_is_as_long_as_the_ground_between_them(model: ReviewModel) -> None:
+    app = ReviewApp(model, start_server())
+    # From 100 m above, the camera's vertical field of 0.9 rad is 96.6 m high.
+    link = "camera=free&view=0,0,100,0.5,0,0&off=labels"
+    try:
+        with open_page(f"{app.url}/?fixedDpr=1&{link}", (1100, 700)) as page:
+            opened = Opened(app, page)
+            opened.click("[...document.querySelectorAll('button')].find(e=>e.innerText.trim()==='Ruler')")
+            opened.click(BUTTON.replace("__NAME__", "Measure"))
+            page.wait_for("document.body.innerText.includes('Click the first place')", PATIENCE_S)
+            for y, ends in ((200, 2), (300, 4)):
+                opened.press(400, y)
+                wait_for(lambda ends=ends: len(opened.session.state.ruler) == ends)
+            length = np.hypot(*np.subtract(opened.session.state.ruler[2:], opened.session.state.ruler[:2]))
+            assert length == pytest.approx(100 * 2.0 * 100.0 * np.tan(0.45) / 700, rel=0.03)
+            page.wait_for(f"document.body.innerText.includes('{length:.1f} m, ')", PATIENCE_S)
+    finally:
+        app.close()

@@ -21,7 +21,8 @@ FULL = ReviewState(
     drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper",
     corrupted_agents="ego", parameters=(("backscatter", 0.3), ("variant", "v2"), ("rounded", True)), threshold=0.55,
     sensor="vlp-16", carrier="1002", placement=(0.5, -1.25, 3.0, 90.0, -10.0),
-    iou=0.7, color_by="fate", hidden=frozenset({1000, -1}), layers_off=frozenset({"bodies", "labels"}), object_id=1003,
+    iou=0.7, follow="selected", rings=True, cut=True, ruler=(1.5, -2.0, 30.25, 4.0), color_by="fate",
+    hidden=frozenset({1000, -1}), layers_off=frozenset({"bodies", "labels"}), object_id=1003,
     max_points=9000, point_size_m=0.2, camera="chase", speed=0.5, theme="dark",
 )  # fmt: skip
 

@@ -49,7 +49,7 @@ CHANGES = {
     "point_size_m": 0.3, "max_points": 9000, "theme": "dark", "layers_off": frozenset({"bodies"}),
     "methods": ("detector",), "listed": "missed", "versus": "alone", "error_method": "detector", "error_class": "truck",
     "error_range": "30-50", "error_seen_by": "helper", "sensor": "vlp-16", "carrier": "pole",
-    "corrupted_agents": "ego", "gallery": True,
+    "corrupted_agents": "ego", "gallery": True, "follow": "selected", "rings": True, "cut": True,
 }  # fmt: skip
 
 
@@ -59,7 +59,8 @@ def test_every_control_follows_the_state(session: Session, fake_fog: list[tuple[
     session.wait_drawn()
     bound = [control for panel in session.panels for control in getattr(panel, "controls", ())]
     for one in (one for one in bound if one.control.field == field):
-        shown = {"camera": "Chase", "object_id": "car 1003", "speed": "2×", "ego_id": "vehicle 1002", "iou": "0.3",
+        shown = {"camera": "Chase", "follow": "Selected", "object_id": "car 1003",
+                 "speed": "2×", "ego_id": "vehicle 1002", "iou": "0.3",
                  "theme": "Dark", "versus": "ego alone", "error_seen_by": "helpers alone",
                  "methods": "detector", "corrupted_agents": "the ego",
                  "layers_off": one.control.label != "Bodies"}  # fmt: skip
