@@ -161,7 +161,7 @@ def test_a_ruler_laid_by_two_clicks_is_as_long_as_the_ground_between_them(model:
     try:
         with open_page(f"{app.url}/?fixedDpr=1&{link}", (1100, 700)) as page:
             opened = Opened(app, page)
-            opened.click("[...document.querySelectorAll('button')].find(e=>e.innerText.trim()==='Ruler')")
+            opened.click("[...document.querySelectorAll('*')].filter(e=>e.innerText?.trim()==='Ruler').at(-1)")
             opened.click(BUTTON.replace("__NAME__", "Measure"))
             page.wait_for("document.body.innerText.includes('Click the first place')", PATIENCE_S)
             for y, ends in ((200, 2), (300, 4)):
