@@ -19,7 +19,7 @@ from dsrc.detectors.answers import of_arrays
 from dsrc.models.detector import anchors_of, classes_of, decode_maps
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.inputs.batch import collate
-from dsrc.models.inputs.trained_frame import as_sensed, on_its_ground
+from dsrc.models.inputs.trained_frame import as_sensed, prepared
 from dsrc.models.settings import ModelSettings
 from dsrc.models.storage.export import INPUTS
 from dsrc.ops.detections import Detections
@@ -66,7 +66,7 @@ class OnnxDetector:
             raise DataError(complaint(self.path, "agents", f"{self._agents}, as it was exported for", found))
         if any(part.any() for part in sample.lost):
             raise DataError(complaint(self.path, "channel", "one without lost packets in ONNX", f"some: {sample.key}"))
-        sample = on_its_ground(sample, self.settings)
+        sample = prepared(sample, self.settings)
         batch = collate([sample], self.settings, training=False)
         if batch.student is None:
             raise CheckpointError(complaint(self.path, "settings.role", "student", "teacher"))

@@ -61,7 +61,7 @@ from sim.settings import convert, read_toml
 
 _Texts = Annotated[tuple[str, ...], Meta(min_length=1)]
 IN_USE = (
-    *("align_poses", "share", "bits", "score_threshold", "nms_iou", "max_extent_m"),
+    *("drop_lone_points", "align_poses", "share", "bits", "score_threshold", "nms_iou", "max_extent_m"),
     *("comm_range_m", "team_by", "judged_by"),
 )
 """Model settings that a trained detector can be used with at any value."""

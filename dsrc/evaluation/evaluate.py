@@ -90,6 +90,8 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
             )
         files[name] = path
     use = height_in_use("evaluate", config.height)
+    if config.drop_lone_points:
+        use["drop_lone_points"] = True
     methods = [MethodSpec(name=name, detectors=(path,), use=use) for name, path in files.items()]
     first, *others = files
     drives = open_drives(config.data)

@@ -16,7 +16,7 @@ from dsrc.models.compression import as_large, reduced
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.inputs.batch import collate, pillars_of
-from dsrc.models.inputs.trained_frame import as_sensed, as_trained, mirrored, on_its_ground
+from dsrc.models.inputs.trained_frame import as_sensed, as_trained, mirrored, prepared
 from dsrc.models.layers.backbones import BACKBONES
 from dsrc.models.layers.blocks import Compressor, Decoder, double_conv, upsample
 from dsrc.models.layers.conv_norm import count_batch
@@ -207,7 +207,7 @@ class Detector(nn.Module):
         was_training = self.training
         if was_training:  # setting the mode of a hundred layers takes as long as coding the clouds
             self.eval()
-        sample = on_its_ground(sample, self.settings)
+        sample = prepared(sample, self.settings)
         if self.settings.align_poses:
             sample = aligned(sample, self._single_agent_detections(sample), self.settings.grid)
         batch = collate([sample], self.settings, training=False)

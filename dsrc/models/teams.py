@@ -10,7 +10,7 @@ from dsrc.models.detector import Detector
 from dsrc.models.fusion import AgentLayout
 from dsrc.models.fusion.late import join_detections
 from dsrc.models.inputs.batch import collate, with_agents
-from dsrc.models.inputs.trained_frame import as_sensed, on_its_ground
+from dsrc.models.inputs.trained_frame import as_sensed, prepared
 from dsrc.models.settings import fusion_of
 from dsrc.ops.detections import Detections
 
@@ -37,7 +37,7 @@ def team_detections(detector: SampleDetector, sample: Sample) -> list[Detections
     if not isinstance(detector, Detector) or fusion == "early" or detector.settings.align_poses:
         return [detector.detect(with_agents(sample, team)) for team in teams]
     settings, device = detector.settings, detector.cls_head.weight.device
-    sample = on_its_ground(sample, settings)
+    sample = prepared(sample, settings)
     batch = collate([sample], settings, training=False).to(device)
     if batch.student is None:
         raise ValueError("a teacher reads clouds that are made with ground truth: it cannot detect in a sample")

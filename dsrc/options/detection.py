@@ -71,6 +71,7 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
         ego_alone: also evaluate the first detector without collaborators.
         channel: radio channels, each detector through each of them; default: no loss, no delay and no byte counts.
         height: ground under the clouds, see dsrc detect.
+        drop_lone_points: each agent drops points with few neighbours, as flakes in the air are.
         engine: execution of the networks: fused layers, the same in half precision for CPUs with AMX, PyTorch's
             compiler, or layer by layer.
         device: device of the networks.
@@ -88,6 +89,7 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
     ego_alone: bool = True
     channel: Channels = ()
     height: Height = "recorded"
+    drop_lone_points: bool = False
     engine: Engine = "fused"
     device: Device = "cpu"
     reuse: tuple[Folder, ...] = ()

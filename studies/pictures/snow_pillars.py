@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from torch import nn
 
 from dsrc.data.drives import open_drives
+from dsrc.data.lone_points import without_lone_points
 from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample, make_sample
 from dsrc.evaluation.metrics.matching import match
@@ -145,8 +145,8 @@ def experiments(
         "only the others' flakes": without(lambda s, row: np.full(len(s.flake[row]), row == 0)),
         "every fourth flake": without(lambda s, row: np.cumsum(s.flake[row]) % 4 > 0),
         "pillars of one point dropped": lambda s, row: crowded(s, row, 2, grid),
-        "points with few neighbours dropped (DROR)": lambda s, row: crowd_of(s.snowy, row),
-        "the same in clear air": lambda s, row: crowd_of(s.clear, row),
+        "points with few neighbours dropped (DROR)": lambda s, row: without_lone_points(s.snowy).clouds[row],
+        "the same in clear air": lambda s, row: without_lone_points(s.clear).clouds[row],
     }
     for name, edit in edits.items():
         yield _line(name, [recall(detector, part, edit) for part in scenes.values()])
@@ -221,17 +221,6 @@ def crowded(s: Scene, row: int, least: int, grid: GridSpec) -> NDArray[np.float3
     cell = pillar_of(s.snowy.clouds[row], grid)
     _, place, count = np.unique(cell, return_inverse=True, return_counts=True)
     return s.snowy.clouds[row][count[place] >= least]
-
-
-def crowd_of(sample: Sample, row: int) -> NDArray[np.float32]:
-    """Return the points of an agent with at least three others within three azimuth steps of 0.35 deg, or 0.04 m.
-
-    Source: Charron et al., De-noising of LiDAR Point Clouds Corrupted by Snowfall, CRV 2018 (DROR).
-    """
-    cloud = sample.clouds[row]
-    range_m = np.linalg.norm(cloud[:, :3] - sample.ego_from_agent[row][:3, 3], axis=1)
-    radius = np.maximum(0.04, 3.0 * np.radians(0.35) * range_m)
-    return cloud[cKDTree(cloud[:, :3]).query_ball_point(cloud[:, :3], radius, return_length=True) > 3]
 
 
 def pillar_of(cloud: NDArray[np.float32], grid: GridSpec) -> NDArray[np.int64]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.level import joined, level, raised
+from dsrc.data.lone_points import without_lone_points
 from dsrc.data.sample import Sample, inside
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.detections import Detections
@@ -40,6 +41,11 @@ def as_trained(sample: Sample, settings: ModelSettings) -> Sample:
     )
 
 
+def prepared(sample: Sample, settings: ModelSettings) -> Sample:
+    """Return a sample as its agents prepare it for a network of these settings, once: without lone points, levelled."""
+    return on_its_ground(without_lone_points(sample) if settings.drop_lone_points else sample, settings)
+
+
 def on_its_ground(sample: Sample, settings: ModelSettings) -> Sample:
     """Return a sample levelled for a network of heights above the ground; itself for others, or where it is level."""
     if settings.height == "sensor":
@@ -48,7 +54,7 @@ def on_its_ground(sample: Sample, settings: ModelSettings) -> Sample:
 
 
 def as_sensed(found: Detections, sample: Sample, settings: ModelSettings) -> Detections:
-    """Return detections in a sample of `on_its_ground` at the sensors' heights, in the range that counts."""
+    """Return detections in a sample of `prepared` at the sensors' heights, in the range that counts."""
     if settings.height == "sensor":
         return found
     boxes = raised(found.boxes, joined(sample.grounds[: 1 if settings.fusion == "none" else settings.max_agents]))
