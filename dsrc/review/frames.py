@@ -98,7 +98,7 @@ class FrameStore:
             SettingsError: the corruption is unknown.
         """
         frame = self.recorded(row)
-        if condition.kind == CLEAN:
+        if condition.kind == CLEAN or not any(len(agent.sweep) for agent in frame.agents):
             return frame
         # Few corruptions and choices of agents know an ego; the others are the same for all.
         known = CORRUPTIONS.get(condition.kind)

@@ -115,7 +115,9 @@ class ReviewModel(Judgements):
         moment = self.moment(state)
         if moment is not None and "seen" not in state.layers_off:
             moment = replace(moment, unseen=unseen_places(frame.agents, ego_id))
-        view = replace(view, moment=moment, notice=self._absent(state, frame))
+        view = replace(
+            view, moment=moment, notice=self._absent(state, frame) or getattr(self.sources[state.drive], "note", "")
+        )
         found = self._detections(state, method) if method else None
         if found is None:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)

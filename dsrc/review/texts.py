@@ -287,5 +287,5 @@ def _legend_row(rgb: Rgb, text: str, outlined: bool) -> str:
     fill = f"border:2px solid {color};border-radius:2px" if outlined else f"background:{color};border-radius:50%"
     # A line around it shows white on a white panel.
     edge = "box-shadow:0 0 0 1px rgba(112,122,140,.6)"
-    mark = f'<span style="display:inline-block;width:.7em;height:.7em;box-sizing:border-box;{fill};{edge}"></span>'
-    return f'<div style="white-space:nowrap">{mark}&nbsp; {escape(text)}</div>'
+    mark = f'<span style="flex:none;width:.7em;height:.7em;box-sizing:border-box;{fill};{edge}"></span>'
+    return f'<div style="display:flex;gap:.6em;align-items:baseline">{mark}<span>{escape(text)}</span></div>'

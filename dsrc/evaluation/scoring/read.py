@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from dsrc.data.formats.dair.tree import boxes_of
 from dsrc.data.formats.kitti_labels import calibration_of, label_folder, list_labels, read_labels
 from dsrc.data.jsonio import read_json
-from dsrc.evaluation.results import CLEAN, condition_title
+from dsrc.evaluation.results import CLEAN
 from dsrc.evaluation.scoring.frames import DetectionSet, FrameKey, Truth
 from dsrc.evaluation.stored import FILE, StoredDrive, StoredRun, has_index, read_index, read_run, run_names
 from dsrc.ops.detections import Detections
@@ -120,8 +120,7 @@ def _run(folder: Path, drives: Sequence[StoredDrive], name: str, run: StoredRun)
                 raise DataError(complaint(folder / FILE, "drives", "names that differ", f"{drive.name} again"))
             frames[key] = result.detections
             truth[key] = Truth.of(result.truth, result.truth.object_id == key.ego_id)
-    family = "" if run.family == "physical" else f" ({run.family})"
-    title = name if run.kind == CLEAN else f"{name}, {condition_title(run.kind)} {run.severity}{family}"
+    title = name if run.kind == CLEAN else f"{name}, {run.condition.label}"
     low, high = run.range_m[:3], run.range_m[3:]
     spans = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return DetectionSet(title, frames, truth, note=f"detections stored within {spans} m")

@@ -2,9 +2,11 @@
 
 import contextlib
 import logging
+import os
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl
@@ -66,8 +68,10 @@ class ReviewApp:
         server.on_client_disconnect(self._end)
 
     def _repr_html_(self) -> str:
-        """Return the page in a frame, as notebooks show it."""
-        return f'<iframe src="{self.url}" width="100%" height="600" style="border:0"></iframe>'
+        """Return the page in a frame, as notebooks show it: on a JupyterHub through its proxy of ports."""
+        hub = os.environ.get("JUPYTERHUB_SERVICE_PREFIX", "")
+        source = f"{hub}proxy/{self.server.get_port()}/" if hub else self.url
+        return f'<iframe src="{escape(source)}" width="100%" height="600" style="border:0"></iframe>'
 
     def wait_session(self, count: int = 1, timeout_s: float = 30.0) -> list[Session]:
         """Wait until at least `count` browsers are connected and return their sessions, oldest first."""
@@ -220,8 +224,9 @@ def view(data: "Drive | Path | str", **options: Any) -> ReviewApp:
 
     Args:
         data: a drive, or a path as `dsrc view` takes it.
-        options: of `ServeOptions`. The frame is asked for at this machine: where the notebook runs elsewhere, give the
-            port to the tunnel and the tunnel's host as `allow_origin`.
+        options: of `ServeOptions`. The frame is asked for at this machine, on a JupyterHub through jupyter-server-proxy
+            with the hub's host as `allow_origin`. Where the notebook runs elsewhere otherwise, give the port to the
+            tunnel and the tunnel's host as `allow_origin`.
 
     Returns:
         The page: `close()` ends it, `url` is its address.

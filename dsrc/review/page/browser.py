@@ -84,7 +84,7 @@ window.reviewPicture=async(url,html)=>{
  for(const one of [scene,await load('data:image/svg+xml,'+encodeURIComponent(svg))])drawn.drawImage(one,0,0);
  return canvas.toDataURL();};
 Storage.prototype.setItem=function(key,value){
- if(key.endsWith('__OPEN_KEY__')){window.top.location.href=value;return;}
+ if(key.endsWith('__OPEN_KEY__')){window.top.location.href=new URL('.'+value,location.href).href;return;}
  if(key.endsWith('__COPY_KEY__')){copy();return;}
  if(key.endsWith('__PICTURE_KEY__')){const [download,url,html]=JSON.parse(value);
   window.reviewPicture(url,html).then(href=>Object.assign(document.createElement('a'),{href,download}).click());return;}

@@ -180,7 +180,7 @@ const title=link=>{const q=new URLSearchParams(link),k=q.get('corruption')||'cle
  parts.push(k==='clean'?k:k.replaceAll('_',' ')+' '+(q.get('severity')||3));return parts.join(' \\u00b7 ');};
 const frames=links.map((link,number)=>{
  const cell=document.createElement('section'),frame=document.createElement('iframe');
- frame.id='cell'+number;frame.src='/?'+[link,'fixedDpr=1','pair='+pair+'.'+number].filter(Boolean).join('&');
+ frame.id='cell'+number;frame.src='./?'+[link,'fixedDpr=1','pair='+pair+'.'+number].filter(Boolean).join('&');
  const name=document.createElement('h1');name.textContent=title(link);
  cell.append(frame,name);document.querySelector('main').append(cell);return frame;});
 addEventListener('message',e=>{

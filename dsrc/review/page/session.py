@@ -24,6 +24,7 @@ from dsrc.review.page.cells import OPEN_KEY, CellPair, cells_of, compare_address
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
 from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
+from dsrc.review.page.panels.drawn import LegendPanel
 from dsrc.review.page.protocol import GoesOn, Shown
 from dsrc.review.page.scene import Clicked
 from dsrc.review.page.stage import Stage, root_of
@@ -54,6 +55,9 @@ REST_S = 0.3
 
 NARROW_PX = 800
 """Width of a window in which the panel starts collapsed."""
+
+CELL_PX = 650
+"""Width of a window below which the legend does too: it would cover half of a cell."""
 
 
 class Session:
@@ -138,8 +142,11 @@ class Session:
             handle = self.gui.add_command(command.label, hotkey=command.key, modifier=modifier)  # type: ignore[arg-type]
             handle.on_trigger(self._trigger(command))
         self.client.camera.on_update(self._camera_moved)
-        if 0 < self.client.camera.image_width <= NARROW_PX:
+        width = self.client.camera.image_width
+        if 0 < width <= NARROW_PX:
             self.gui.main_panel.minimize()
+        if 0 < width < CELL_PX:
+            next(panel for panel in self.panels if isinstance(panel, LegendPanel)).window.minimize()
 
     def _trigger(self, command: Command) -> Callable[[Any], None]:
         def run(_: object) -> None:

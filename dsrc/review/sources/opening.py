@@ -2,11 +2,12 @@
 
 import threading
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 from dsrc.data.drives import open_drives
+from dsrc.data.formats.kitti_labels import list_labels
 from dsrc.data.sample import DetectorSettings, Sample, SampleDetector
 from dsrc.evaluation.config import named
 from dsrc.evaluation.sharing.stored import FILE as SHARES
@@ -14,8 +15,11 @@ from dsrc.evaluation.stored import FILE, has_index
 from dsrc.ops.detections import Detections
 from dsrc.review.sources.base import DriveSource, Source
 from dsrc.review.sources.detected import ComputedSet
-from dsrc.review.sources.results import open_results, open_shares
+from dsrc.review.sources.results import MissingDriveError, open_results, open_shares
 from sim.errors import DataError, SettingsError, complaint
+
+_RUN_FILES = (FILE, SHARES, "settings.json", "student/settings.json")
+"""Files of which one says that a folder is a run."""
 
 
 def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> list[Source]:
@@ -29,6 +33,8 @@ def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> 
     | run folder of a training              | its validation drives, with its newest weights |
     | an episode log (.npz)                 | the episode                                    |
     | a folder of episode logs              | the episodes, sorted by name                   |
+    | detections as of `dsrc score`         | boxes without clouds; also of results whose drives are gone |
+    | a folder of runs                      | their sources; a drive of several runs once, with the methods of all |
 
     Args:
         data: where the drives of results or of a training are now; None for where they were.
@@ -39,7 +45,7 @@ def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> 
     """
     path = Path(path)
     if has_index(path):
-        return [*open_results(path, data)]
+        return _results(path, data)
     if (path / SHARES).is_file():
         return [*open_shares(path, data)]
     run = next((folder for folder in (path, path / "student") if (folder / "settings.json").is_file()), None)
@@ -58,7 +64,51 @@ def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> 
         from dsrc.review.sources.episodes import episode_source
 
         return [episode_source(EpisodeLog.load(log)) for log in logs]
+    if path.suffix == ".json" or any(path.glob("*_pred.npy")) or (path.is_dir() and list_labels(path)):
+        return _boxes(path)
+    if runs := _runs(path):
+        return _joined({run.name: open_sources(run, engine=engine) for run in runs})
     return [DriveSource(drive) for drive in open_drives(path)]
+
+
+def _results(path: Path, data: Path | None) -> list[Source]:
+    """Results with their drives, or the boxes alone where a drive is gone and nobody says where to."""
+    try:
+        return [*open_results(path, data)]
+    except MissingDriveError as error:
+        if data is not None:
+            raise
+        return _boxes(path, f"Boxes without clouds: {error} by --drives.")
+
+
+def _boxes(path: Path, note: str = "") -> list[Source]:
+    from dsrc.review.sources.boxes import open_boxes
+
+    return [*open_boxes(path, note)]
+
+
+def _runs(folder: Path) -> list[Path]:
+    """Folders of results, shares and trainings in a folder, and those with episodes, sorted."""
+    found = [sub for sub in sorted(folder.glob("*/")) if any((sub / name).is_file() for name in _RUN_FILES)]
+    return found + [sub for sub in sorted(folder.glob("*/")) if sub not in found and _logs(sub)]
+
+
+def _joined(runs: Mapping[str, list[Source]]) -> list[Source]:
+    """Sources of several runs; those of one drive and seed are one, with the sets of all, named by their runs."""
+    sources: dict[tuple[object, ...], Source] = {}
+    for run, every in runs.items():
+        for source in every:
+            folder = getattr(getattr(source, "drive", None), "drive", None)
+            if folder is None:
+                source.name = f"{run}: {source.name}"
+                sources[run, source.name, len(sources)] = source
+                continue
+            first = sources.setdefault((type(source), folder, source.seed), source)
+            named_sets = {f"{run}: {name}": one for name, one in source.sets.items()}
+            for name, one in named_sets.items():
+                one.name = name
+            first.sets = named_sets if first is source else first.sets | named_sets
+    return [*sources.values()]
 
 
 def _logs(folder: Path) -> list[Path]:

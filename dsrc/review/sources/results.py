@@ -17,6 +17,10 @@ from sensors.corruptions import Condition
 from sim.errors import DataError, complaint
 
 
+class MissingDriveError(DataError):
+    """A drive of results is no longer where it was."""
+
+
 class StoredSet:
     """Stored detections of one method in a drive; see `DetectionSet`.
 
@@ -116,13 +120,14 @@ def stored_drive(index: Path, stored: StoredDrive, moved: Mapping[str, Path]) ->
         moved: where drives are now, by name.
 
     Raises:
-        DataError: the drive is missing, or not the one that was evaluated.
+        MissingDriveError: the drive is missing or damaged.
+        DataError: it is not the one that was evaluated.
     """
     place = moved.get(stored.name, Path(stored.path))
     try:
         drive = open_drive(place)
     except DataError as error:
-        raise DataError(f"{index}: drives: {stored.name}: {error}; give the folder of its drives") from None
+        raise MissingDriveError(f"{index}: drives: {stored.name}: {error}; give the folder of its drives") from None
     if drive.digest() != stored.data:
         expected = f"the drive that was evaluated ({stored.data[:12]})"
         raise DataError(complaint(place, "data", expected, f"another ({drive.digest()[:12]})", f"; see {index}"))

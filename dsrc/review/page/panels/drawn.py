@@ -34,9 +34,9 @@ class LegendPanel:
 
     def __init__(self, page: Page) -> None:
         """Build it at the lower left, empty."""
-        window = page.gui.add_panel()
-        window.float(x=12, y=-12, width=_LEGEND_PX)
-        with window.add_tab("Legend"):
+        self.window = page.gui.add_panel()
+        self.window.float(x=12, y=-12, width=_LEGEND_PX)
+        with self.window.add_tab("Legend"):
             self.text = page.gui.add_markdown("")
             self.notice = page.gui.add_markdown("", visible=False)
             self.legend = page.gui.add_html("")

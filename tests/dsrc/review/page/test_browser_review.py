@@ -1,6 +1,10 @@
 """Errors, cells and live frames in a real Chromium."""
 
+import contextlib
+import socket
+import threading
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -100,3 +104,63 @@ def test_a_page_of_a_running_simulation_grows() -> None:
             wait_for(lambda index=index: session.view is not None and session.view.index == index)
         page.wait_for("document.body.innerText.includes('Frame 3')", PATIENCE_S)
         page.wait_for("!document.body.innerText.includes('first frame to come')", PATIENCE_S)
+
+
+PREFIX = b"/user/me/proxy/1"
+
+
+@contextlib.contextmanager
+def proxy(port: int) -> Iterator[str]:
+    """Serve a port of this machine below a path of another one, as JupyterHub does; yields that address."""
+    server = socket.create_server(("127.0.0.1", 0))
+    opened = [server]
+
+    def pipe(source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while some := source.recv(1 << 16):
+                sink.sendall(some)
+            sink.shutdown(socket.SHUT_WR)
+
+    def forward(browser: socket.socket, page: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            page.sendall(browser.recv(1 << 16).replace(b"GET " + PREFIX, b"GET ", 1))
+            pipe(browser, page)
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                browser, page = server.accept()[0], socket.create_connection(("127.0.0.1", port))
+                opened.extend((browser, page))
+                for run, ends in ((forward, (browser, page)), (pipe, (page, browser))):
+                    threads.append(threading.Thread(target=run, args=ends))
+                    threads[-1].start()
+
+    threads = [threading.Thread(target=serve)]
+    threads[0].start()
+    try:
+        yield f"http://127.0.0.1:{server.getsockname()[1]}{PREFIX.decode()}"
+    finally:
+        for one in opened:
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+        for thread in threads:
+            thread.join(5.0)
+        for one in opened:
+            one.close()
+
+
+def test_the_page_and_its_cells_work_below_a_path_of_a_proxy(model: ReviewModel) -> None:
+    app = ReviewApp(model, start_server())
+    try:
+        with proxy(app.server.get_port()) as address, open_page(f"{address}/?fixedDpr=1&frame=2", SIZE) as page:
+            opened = Opened(app, page)
+            assert opened.session.view.index == 2
+            page.wait_for("location.search.includes('view=')", PATIENCE_S)
+            opened.session.side_by_side()
+            page.wait_for("location.pathname.endsWith('/compare')", PATIENCE_S)
+            assert page.evaluate("location.pathname") == f"{PREFIX.decode()}/compare"
+            wait_for(lambda: len(app.sessions) == 2)
+            for session in app.wait_session(2, PATIENCE_S):
+                assert session.wait_drawn(PATIENCE_S).index == 2
+    finally:
+        app.close()

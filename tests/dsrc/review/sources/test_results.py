@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from dsrc.faults.condition import frame_condition
 from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Evaluation
 from dsrc.review.frames import Recordings
+from dsrc.review.model import ReviewModel
 from dsrc.review.page.controls import CONTROLS, Shown
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet, corrupted_frame
@@ -96,9 +98,47 @@ def test_moved_drives_are_found_where_they_are_said_to_be(done: tuple[Path, list
     for drive in index["drives"]:
         drive["path"] = drive["path"].replace(str(root / "test"), str(tmp_path / "gone"))
     (tmp_path / "out/detections.json").write_text(json.dumps(index))
-    with pytest.raises(DataError, match=r"detections\.json: drives: drive_0: .*give the folder of its drives"):
-        open_sources(tmp_path / "out")
+    alone = open_sources(tmp_path / "out")
+    assert (
+        "detections.json: drives: drive_0: " in alone[0].note
+        and "give the folder of its drives by --drives" in alone[0].note
+    )
     assert len(open_sources(tmp_path / "out", tmp_path / "moved")) == 2
+    with pytest.raises(DataError, match=r"detections\.json: drives: drive_0: .*give the folder of its drives"):
+        open_sources(tmp_path / "out", root / "test" / "drive_1")
+
+
+def test_results_whose_drives_are_gone_have_the_boxes_and_counts_that_they_had(
+    done: tuple[Path, list], tmp_path: Path
+) -> None:
+    root, _ = done
+    shutil.copytree(root / "out", tmp_path / "out")
+    index = tmp_path / "out/detections.json"
+    index.write_text(index.read_text().replace(str(root / "test"), str(tmp_path / "gone")))
+    model, before = ReviewModel(open_sources(tmp_path / "out")), ReviewModel(open_sources(root / "out"))
+    assert model.names == before.names == ["drive_0", "drive_1"]
+    assert model.methods(0) == [f"{name}{of}" for of in ("", ", fog 3", ", blocked:120 on ego") for name in "AB"]
+    state = ReviewState(frame=1, threshold=0.1, methods=("B",))
+    view = model.view(state)
+    assert view.counts == before.view(state).counts and view.counts.fn + view.counts.tp > 0
+    assert view.notice.startswith("Boxes without clouds: ") and "\n" not in view.notice
+    assert sum(agent.total for agent in view.agents) == 0
+    foggy = model.view(replace(state, methods=("B, fog 3",)))
+    assert foggy.counts == before.view(replace(state, corruption="fog")).counts
+
+
+def test_a_folder_of_runs_has_every_drive_once_with_the_methods_of_all(done: tuple[Path, list], tmp_path: Path) -> None:
+    root, _ = done
+    for name in ("monday", "tuesday"):
+        shutil.copytree(root / "out", tmp_path / "runs" / name)
+    model = ReviewModel(open_sources(tmp_path / "runs"))
+    assert model.names == ["drive_0", "drive_1"]
+    assert model.methods(0) == ["monday: A", "monday: B", "tuesday: A", "tuesday: B"]
+    state = ReviewState(threshold=0.1)
+    counts = [model.view(replace(state, methods=(name,))).counts for name in ("monday: B", "tuesday: B")]
+    assert counts[0] == counts[1]
+    both = model.index(replace(state, methods=("monday: A", "tuesday: A"))).counts(0.1, 0.5)
+    assert both["monday: A"] == both["tuesday: A"]
 
 
 def test_detections_of_another_data_set_are_refused(done: tuple[Path, list], tmp_path: Path) -> None:
