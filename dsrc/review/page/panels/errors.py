@@ -5,15 +5,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from viser import uplot
 
 from dsrc.review.errors.filters import KINDS
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import errors_csv
-from dsrc.review.errors.report import RunReport, curve_on_grid, shown_error
+from dsrc.review.errors.report import RunReport, shown_error
+from dsrc.review.errors.score_plots import BINS, STEPS, curve_svg, histogram_svg
 from dsrc.review.page.panels.widgets import build_controls, set_fields
 from dsrc.review.page.protocol import Page, Shown
-from dsrc.review.palette import Rgb, css, method_color
+from dsrc.review.palette import Rgb
 from dsrc.review.state import IOU_THRESHOLDS, ReviewState, Theme
 from dsrc.review.texts import html_table, quoted
 from dsrc.review.worker import JobProgress
@@ -24,13 +24,11 @@ ROWS = 8
 """Errors on a page of the list."""
 FRAMES = 30
 """Worst frames in their list."""
-_RECALL = np.linspace(0.0, 1.0, 101)
 _PATIENCE_S = 2.0
 _CHOSEN = (56, 150, 255)
 _OTHER: dict[Theme, Rgb] = {"dark": (62, 70, 84), "light": (222, 227, 234)}
 """Colours of the other errors' buttons; the browser chooses a text that can be read on them."""
 _NO_FRAME = "–"
-_AXIS = "rgb(112,122,140)"
 
 
 class ErrorsPanel:
@@ -54,13 +52,18 @@ class ErrorsPanel:
             self.pages = gui.add_button_group("Errors", ("‹", "›"))
             self.frames = gui.add_dropdown("Worst frames", (_NO_FRAME,))
             self.scores = gui.add_html("")
-            self.plot: Any = None
+            self.plots = gui.add_html("")
+            # The script of the page sets them to what is clicked.
+            self.recall: Any = gui.add_number("Clicked recall", -1, visible=False)
+            self.bin: Any = gui.add_number("Clicked bar", -1, visible=False)
             self.csv = gui.add_button("Save list as CSV")
         for number, button in enumerate(self.rows):
             button.on_click(partial(self._open, number))
         self.pages.on_click(lambda event: self._turn(-ROWS if event.target.value == "‹" else ROWS))
         self.frames.on_update(self._to_frame)
         self.detect.on_click(lambda _: self._page.cancel() if self._page.detecting() else self._page.detect_all())
+        self.recall.on_update(self._to_recall)
+        self.bin.on_update(self._to_bin)
         self.csv.on_click(lambda _: self._save())
 
     def show(self, shown: Shown) -> None:
@@ -82,8 +85,6 @@ class ErrorsPanel:
             self._first, self._report = 0, report
             self._show_scores(shown.state, report)
             self._show_frames(report)
-        elif shown.state.theme != self._theme:
-            self._draw_curves(shown.state, report)
         self._theme = shown.state.theme
         self._show_rows(shown.state, report)
         self._show_progress(shown, report)
@@ -91,13 +92,11 @@ class ErrorsPanel:
     def _clear(self, why: str) -> None:
         """Say why there is no report, and leave nothing of the one before."""
         self._first, self._report = 0, None
-        self.progress.content, self.scores.content, self.frames.options = quoted(why), "", (_NO_FRAME,)
+        self.progress.content, self.frames.options = quoted(why), (_NO_FRAME,)
+        self.scores.content = self.plots.content = ""
         for handle in (*self.rows, self.pages, self.bar, self.detect):
             handle.visible = False
         self.csv.disabled = True
-        if self.plot is not None:
-            self.plot.remove()
-            self.plot = None
 
     def _show_progress(self, shown: Shown, report: RunReport) -> None:
         jobs = self._page.detecting()
@@ -119,40 +118,45 @@ class ErrorsPanel:
             shown = ("–" if math.isnan(ap) else f"{ap:.2f}" for ap in precisions)
             rows.append((name, *shown, *map(str, (c.tp, c.fp, c.fn))))
         self.scores.content = html_table(head, rows)
-        self._draw_curves(state, report)
+        self._draw_scores(state, report)
 
-    def _draw_curves(self, state: ReviewState, report: RunReport) -> None:
-        """Draw a curve per method, and the point of the threshold on it."""
-        curves, marks, series = [], [], [uplot.Series(label="recall")]
-        for row, (name, counts) in enumerate(report.counts.items()):
-            curves.append(curve_on_grid(report.curves[name, state.iou], _RECALL))
-            mark = np.full(len(_RECALL), np.nan)
-            if counts.recall is not None and counts.precision is not None:
-                mark[np.argmin(np.abs(_RECALL - counts.recall))] = counts.precision
-            marks.append(mark)
-            series.append(uplot.Series(label=name, stroke=css(method_color(row)), width=2, spanGaps=False))
-        names = list(report.counts)
-        series += [
-            uplot.Series(label=f"{name} at {state.threshold:g}", stroke=css(method_color(row)),
-                         width=0, points={"show": True, "size": 9})  # type: ignore[typeddict-item]
-            for row, name in enumerate(names)
-        ]  # fmt: skip
-        data = (_RECALL, *curves, *marks)
-        if self.plot is not None and len(self.plot.data) == len(data):
-            self.plot.data, self.plot.series = data, tuple(series)
+    def _draw_scores(self, state: ReviewState, report: RunReport) -> None:
+        """Draw the curves and the histogram of the first method; a click goes to what lies there."""
+        drawn = (curve_svg(report, state), histogram_svg(report, state, next(iter(report.counts))))
+        plots = "".join(
+            f'<div data-goto="{clicked._impl.uuid}" style="margin:.3em .6em">{svg}</div>'
+            for clicked, svg in zip((self.recall, self.bin), drawn, strict=True)
+        )
+        set_fields(self.plots, content=plots)
+
+    def _to_recall(self, event: Any) -> None:
+        """Set the threshold that has the clicked recall, and select the detection that decides it."""
+        if event.client_id is None or self._report is None:
             return
-        before = self.plot
-        with self.folder:
-            self.plot = self._page.gui.add_uplot(
-                data,
-                tuple(series),
-                scales={"x": uplot.Scale(time=False, range=(0.0, 1.0)), "y": uplot.Scale(range=(0.0, 1.0))},
-                axes=(uplot.Axis(label="recall", stroke=_AXIS), uplot.Axis(label="precision", stroke=_AXIS)),
-                legend=uplot.Legend(show=False),
-                height=190,
-            )
-        if before is not None:
-            before.remove()
+        page, method = self._page, next(iter(self._report.counts))
+        state, curve = page.state, self._report.curves[method, page.state.iou]
+        row = min(int(np.searchsorted(curve.recall, event.target.value / STEPS)), len(curve.score) - 1)
+        self.recall.value = -1
+        if row < 0:
+            return
+        with page.using_model:
+            run = page.model.run(state.drive, method, page.model.setup(state))
+        one = int(np.flatnonzero(run.table.score == curve.score[row])[0])
+        threshold, frame = np.floor(1e4 * curve.score[row]) / 1e4, run.table.position[run.frame_of[one]]
+        page.update(threshold=float(threshold), frame=int(frame))
+        page.update(detection=int(run.rank[one]))
+
+    def _to_bin(self, event: Any) -> None:
+        """Go to the next listed error whose score lies in the clicked bar."""
+        if event.client_id is None or self._report is None:
+            return
+        page, errors, low = self._page, self._report.errors, event.target.value / BINS
+        self.bin.value = -1
+        rows = np.flatnonzero((errors.score >= low) & (errors.score < low + 1.0 / BINS))
+        if not len(rows):
+            page.tell(f"No listed error has a score of {low:.2f} to {low + 1.0 / BINS:.2f}.")
+            return
+        page.show_error(errors, int(rows[np.searchsorted(rows, shown_error(errors, page.state), "right") % len(rows)]))
 
     def _show_frames(self, report: RunReport) -> None:
         frames = report.frames

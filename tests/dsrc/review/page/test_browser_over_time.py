@@ -33,3 +33,21 @@ def test_a_click_on_a_plot_goes_to_its_instant_again_and_again(model: ReviewMode
                 opened.session.wait_drawn()
     finally:
         app.close()
+
+
+def test_a_click_on_a_bar_of_the_scores_selects_what_lies_there(model: ReviewModel) -> None:
+    app = ReviewApp(model, start_server())
+    bars = "[...document.querySelectorAll('svg[data-ends]')].find(e=>e.textContent.startsWith('scores of hits'))"
+    folder = "[...document.querySelectorAll('*')].filter(e=>e.innerText?.trim()==='Errors of the run').at(-1)"
+    try:
+        with open_page(f"{app.url}/?fixedDpr=1&frame=2", (1000, 900)) as page:
+            opened = Opened(app, page)
+            opened.click(folder)
+            opened.resting_place_of(bars)
+            x, y, width = page.evaluate(f"(()=>{{const r={bars}.getBoundingClientRect();return [r.x,r.y,r.width]}})()")
+            opened.press(x + (8.0 + 0.425 * 264.0) / 280.0 * width, y + 50.0)
+            wait_for(lambda: opened.session.state.detection is not None)
+            details = opened.session.wait_drawn().details
+            assert details.verdict == "false positive" and details.score == pytest.approx(0.4)
+    finally:
+        app.close()

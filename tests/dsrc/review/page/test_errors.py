@@ -1,15 +1,19 @@
 """Errors on the page: the list, its keys, background detection and notes."""
 
 import json
+import re
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from dsrc.review import palette
 from dsrc.review.errors.filters import FP, KINDS
 from dsrc.review.errors.notes import NoteBook
+from dsrc.review.errors.score_plots import histogram_svg, hits_of
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS, go_to_error
@@ -193,7 +197,7 @@ def test_where_there_is_no_report_nothing_is_left_of_the_one_before(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     errors = panel(session, ErrorsPanel)
-    wait_for(lambda: errors.rows[0].visible and errors.plot is not None)
+    wait_for(lambda: errors.rows[0].visible and errors.plots.content)
 
     def none(*_: object) -> None:
         raise SettingsError("street: methods: expected a set of detections, found none")
@@ -203,11 +207,11 @@ def test_where_there_is_no_report_nothing_is_left_of_the_one_before(
         session.update(threshold=0.4)
         session.wait_drawn()
         wait_for(lambda: "found none" in errors.progress.content)
-        assert not any(row.visible for row in errors.rows) and errors.plot is None and errors.csv.disabled
+        assert not any(row.visible for row in errors.rows) and not errors.plots.content and errors.csv.disabled
         assert errors.scores.content == "" and len(errors.frames.options) == 1
     session.update(threshold=0.3)
     session.wait_drawn()
-    wait_for(lambda: errors.rows[0].visible and errors.plot is not None)
+    wait_for(lambda: errors.rows[0].visible and errors.plots.content)
 
 
 def test_a_panel_that_fails_keeps_no_other_from_being_set(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -327,4 +331,47 @@ def test_in_the_light_theme_nothing_in_the_list_is_dark_and_no_curve_white(sessi
         wait_for(lambda theme=theme: errors._theme == theme)
     other = [row.color for row in errors.rows if row.visible and row.color != (56, 150, 255)]
     assert other and min(map(min, other)) > 200
-    assert errors.plot.series[1]["stroke"] == css(method_color(0))
+    assert f'stroke="{css(method_color(0))}"' in errors.plots.content
+
+
+def clicked(value: int) -> SimpleNamespace:
+    """What the script of the page sends for a click on a plot."""
+    return SimpleNamespace(client_id=1, target=SimpleNamespace(value=value))
+
+
+def test_a_bar_of_the_histogram_goes_through_the_errors_with_its_scores(session: Session) -> None:
+    errors = panel(session, ErrorsPanel)
+    session.detect_all()
+    wait_for(lambda: errors._report is not None and errors._report.known == 12)
+    seen = set()
+    for _ in range(12):
+        errors._to_bin(clicked(8))
+        details = session.wait_drawn().details
+        assert details.verdict == "false positive" and details.score == pytest.approx(0.4)
+        seen.add(session.state.frame)
+    assert len(seen) == 12, "each click goes on to the next one"
+    errors._to_bin(clicked(1))
+    assert "No listed error has a score of 0.05 to 0.10" in session._notice.content
+
+
+def test_a_place_of_the_curve_sets_the_threshold_that_has_its_recall(session: Session) -> None:
+    errors = panel(session, ErrorsPanel)
+    # In the one known frame four of five objects are found, with scores of 0.9, 0.8, 0.7 and 0.6.
+    for recall, score in ((40, 0.8), (0, 0.9), (61, 0.6), (80, 0.6)):
+        errors._to_recall(clicked(recall))
+        view = session.wait_drawn()
+        assert session.state.threshold == pytest.approx(score, abs=1e-3)
+        assert view.details.score == pytest.approx(score) and view.details.verdict == "true positive"
+        assert view.counts.tp == round((0.9 - score) * 10) + 1
+
+
+def test_the_histogram_has_a_bar_for_every_detection(session: Session) -> None:
+    report = session.report(session.state)
+    svg = histogram_svg(report, session.state, "detector")
+    heights = [
+        sum(float(h) for h in re.findall(rf'height="([\d.]+)" fill="{re.escape(css(rgb))}"', svg))
+        for rgb in (palette.TP, palette.FP)
+    ]
+    curve = report.curves["detector", 0.5]
+    assert (hits_of(curve).sum(), (~hits_of(curve)).sum()) == (4, 1)
+    assert heights[0] == pytest.approx(4 * heights[1], rel=0.01)
