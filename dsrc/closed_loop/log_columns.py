@@ -123,11 +123,13 @@ def _ego_columns(egos: Sequence[EgoState]) -> dict[str, NDArray]:
 
 def _decision_columns(decisions: Sequence[Decision]) -> dict[str, NDArray]:
     reasons = sorted({decision.reason for decision in decisions})
+    steers = [np.nan if decision.steering_rad is None else decision.steering_rad for decision in decisions]
     return {
         "decision/acceleration": np.array([decision.acceleration_mps2 for decision in decisions], np.float64),
         "decision/track": np.array([decision.track for decision in decisions], np.int64),
         "decision/reason": np.array([reasons.index(decision.reason) for decision in decisions], np.int64),
         "decision/reasons": np.array(reasons, np.str_),
+        **({} if np.isnan(steers).all() else {"decision/steering": np.array(steers, np.float64)}),
     }
 
 

@@ -1,5 +1,6 @@
 """Reader of the columns of an episode log, each checked when it is read."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -169,12 +170,16 @@ def _egos(reader: ColumnReader, count: int) -> list[EgoState]:
 def _decisions(reader: ColumnReader, count: int) -> list[Decision]:
     reasons = reader.array("decision/reasons", "U", (None,)).tolist()
     reason = reader.array("decision/reason", "i8", (count,))
+    steers = np.full(count, np.nan)
+    if "decision/steering" in reader.columns:
+        steers = reader.array("decision/steering", "f8", (count,))
     return [
-        Decision(acceleration, reasons[row], track)
-        for acceleration, row, track in zip(
+        Decision(acceleration, reasons[row], track, None if math.isnan(steering) else steering)
+        for acceleration, row, track, steering in zip(
             reader.array("decision/acceleration", "f8", (count,)).tolist(),
             reader.index("decision/reason", len(reasons), reason),
             reader.array("decision/track", "i8", (count,)).tolist(),
+            steers.tolist(),
             strict=True,
         )
     ]

@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from dsrc.closed_loop.driving.bicycle import bicycle_step
 from dsrc.closed_loop.driving.checked import CheckedDriver
 from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.planner import PlanningDriver
@@ -250,62 +251,51 @@ class ClosedLoop:
         self._observe(self._first, ego_state(self.traffic, self.ego_id, None), None)
         return self.tick
 
-    def advance(self, acceleration_mps2: float | None = None) -> Tick:
-        """Act for one traffic step along the route, then move, judge, perceive, track and decide.
+    def advance(self, acceleration_mps2: float | None = None, steering_rad: float | None = None) -> Tick:
+        """Act for one traffic step, then move, judge, perceive, track and decide.
+
+        An ego that steers ends its episode where it touches the static world or leaves the lanes.
 
         Args:
             acceleration_mps2: in place of the driver's decision, m/s2; the vehicle's limits bound it.
+            steering_rad: with it, see `Decision`.
 
         Raises:
-            ValueError: the acceleration is not finite.
+            ValueError: the acceleration or the steering is not finite.
             TrafficError: the episode has not begun or has ended.
         """
-        self.act(acceleration_mps2)
-        return self._move()
+        self.act(acceleration_mps2, steering_rad)
+        before = self.traffic.actors
+        with self._timed("move"):
+            self.traffic.step()
+        return self.arrive(before)
 
-    def act(self, acceleration_mps2: float | None = None) -> None:
+    def act(self, acceleration_mps2: float | None = None, steering_rad: float | None = None) -> None:
         """Command the ego for the next traffic step, see `advance`; `arrive` follows that step."""
         last = self._running()
         if acceleration_mps2 is not None:
-            if not math.isfinite(acceleration_mps2):
-                raise ValueError(f"acceleration_mps2 must be finite, got {acceleration_mps2}")
-            self.ticks[-1] = last = replace(last, decision=Decision(acceleration_mps2))
-        limits = last.ego.limits
-        wanted = limits.bounded(last.decision.acceleration_mps2)
-        made = limits.bounded(self._own.acted(wanted, last.actors.time_s - self.start_s))
-        self.traffic.command(self.ego_id, max(0.0, last.ego.speed_mps + made * self.traffic.step_s))
-
-    def advance_to(self, pose: tuple[float, float, float], speed_mps: float) -> Tick:
-        """Put the ego somewhere in the next traffic step, on a lane or off, then as `advance`.
-
-        The ego ends its episode where it touches the static world or leaves the lanes.
-
-        Args:
-            pose: x and y of its centre, m, and heading, rad.
-            speed_mps: its speed, m/s.
-
-        Raises:
-            ValueError: a value is not finite.
-            TrafficError: the episode has not begun or has ended.
-        """
-        last = self._running()
-        gained = (speed_mps - last.ego.speed_mps) / self.traffic.step_s
-        self.traffic.place(self.ego_id, np.array(pose[:2]), pose[2], speed_mps)
-        self.ticks[-1] = replace(last, decision=Decision(gained))
+            for name, value in (("acceleration_mps2", acceleration_mps2), ("steering_rad", steering_rad or 0.0)):
+                if not math.isfinite(value):
+                    raise ValueError(f"{name} must be finite, got {value}")
+            last = replace(last, decision=Decision(acceleration_mps2, steering_rad=steering_rad))
+            self.ticks[-1] = last
+        ego, step_s, steering = last.ego, self.traffic.step_s, last.decision.steering_rad
+        wanted = ego.limits.bounded(last.decision.acceleration_mps2)
+        made = ego.limits.bounded(self._own.acted(wanted, last.actors.time_s - self.start_s))
+        if steering is None:
+            self.traffic.command(self.ego_id, max(0.0, ego.speed_mps + made * step_s))
+            return
+        pose = np.array([[*ego.box.center[0, :2], ego.box.yaw[0]]])
+        speed, gained, wheel = (np.array([value]) for value in (ego.speed_mps, made, steering))
+        pose, speed = bicycle_step(pose, speed, gained, wheel, float(ego.box.size[0, 0]), step_s)
+        self.traffic.place(self.ego_id, pose[0, :2], float(pose[0, 2]), float(speed[0]))
         if self._world is None:
             self._world = solid_world(self.scenario, self.seed)
-        return self._move()
 
     def _running(self) -> Tick:
         if self.outcome is not None:
             raise TrafficError(f"expected a running episode, found one that ended: {self.outcome.value}")
         return self.tick
-
-    def _move(self) -> Tick:
-        before = self.traffic.actors
-        with self._timed("move"):
-            self.traffic.step()
-        return self.arrive(before)
 
     def arrive(self, before: Actors) -> Tick:
         """Judge, perceive, track and decide after a traffic step.

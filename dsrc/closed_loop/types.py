@@ -116,13 +116,17 @@ class Decision:
 
     Attributes:
         acceleration_mps2: wanted change of speed, m/s2; the vehicle's limits bound it.
-        reason: what decided: `free`, `follow`, `yield`, `signal`, `emergency`, `creep` or `outside` for a policy's.
+        reason: what decided: `free`, `follow`, `yield`, `signal`, `emergency`, `evade`, `creep` or `outside` for a
+            policy's.
         track: number of the decisive track, -1 without one.
+        steering_rad: angle of the front wheels, positive to the left, of an ego that steers a bicycle model; None of
+            one that keeps its route, or returns to it at once.
     """
 
     acceleration_mps2: float
     reason: str = "outside"
     track: int = -1
+    steering_rad: float | None = None
 
 
 class Outcome(StrEnum):
@@ -244,7 +248,7 @@ class ConflictLane:
 
 
 class Driver(Protocol):
-    """Driver: from the ego's own state and its tracks to an acceleration."""
+    """Driver: from the ego's own state and its tracks to an acceleration, and to steering where it leaves its route."""
 
     def reset(self, lanes: LaneMap | None) -> None:
         """Begin an episode.

@@ -8,7 +8,7 @@ from tyro.conf import Positional, arg
 from dsrc.options.detection import AutoEngine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, FaultTexts, File, changed_radios, choice
 
-DRIVERS = ("planning", "anticipating", "careful", "MODULE:CLASS", "PROCESS")
+DRIVERS = ("planning", "anticipating", "evading", "careful", "MODULE:CLASS", "PROCESS")
 NO_DEFENCE = "none"
 DEFENCES = ("agreement", "free-space", "motion", "trust")
 """Defences by name, in the order in which they act."""
@@ -42,8 +42,9 @@ class DriveOptions(msgspec.Struct, frozen=True):
         seed: seeds of the episodes, one each; default: 0.
         engine: execution of the network, see dsrc evaluate; auto is bf16 where the processor computes it and the
             detector is as good in it, else fused.
-        driver: driver: plans by predicted tracks, also anticipates road users that it cannot see, the careful driver of
-            UN R157, a class of one's own, or a process, pipe:COMMAND or tcp://localhost:PORT; default: planning.
+        driver: driver: plans by predicted tracks, also anticipates road users that it cannot see, also steers around
+            somebody where braking does not suffice, the careful driver of UN R157, a class of one's own, or a process,
+            pipe:COMMAND or tcp://localhost:PORT; default: planning.
         duration_s: longest episode, s; default: 20, for anticipating 30.
         detect_every_s: interval of detections, s; default: 0.1.
         latency_s: time from a measurement to its detections, s; default: 0.

@@ -125,8 +125,9 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         seeds: those of each scenario, perception, corruption, severity or fault, and channel; the same for all.
         engine: execution of the networks, see `dsrc.models.storage.deploy.ENGINES`; `auto` becomes the fastest that
             serves all detectors of the campaign, see `with_engine`.
-        driver: `planning`, `anticipating` what it cannot see, `careful` for the reference driver of UN R157, or one's
-            own, `module:Class` or `tcp://localhost:PORT`, see `dsrc.closed_loop.driving.open`.
+        driver: `planning`, `anticipating` what it cannot see, `evading` by steering too, `careful` for the reference
+            driver of UN R157, or one's own, `module:Class` or `tcp://localhost:PORT`, see
+            `dsrc.closed_loop.driving.open`.
         loop: intervals and limits of time.
         controls: drive the controls of encounters with the truth first, and refuse to continue where one fails.
         careful: drive the reference driver of UN R157 with the truth too: crashes that it avoids are avoidable.

@@ -11,6 +11,7 @@ from sim.errors import one_line
 
 _T = TypeVar("_T")
 _STRONGEST_MPS2 = 1e6
+_STRONGEST_RAD = 1.2
 _MOST_LETTERS = 40
 
 
@@ -72,12 +73,15 @@ def checked_decision(found: Any) -> Decision:
 
     Raises:
         TypeError: it is something else, or its reason or track is.
-        ValueError: the acceleration is not finite.
+        ValueError: the acceleration is not finite, or the steering beyond what wheels turn.
     """
     if not isinstance(found, Decision):
         raise TypeError(f"decide: expected a Decision, found {type(found).__name__}")
     if not math.isfinite(found.acceleration_mps2) or abs(found.acceleration_mps2) > _STRONGEST_MPS2:
         raise ValueError(f"decide: expected a finite acceleration, found {found.acceleration_mps2}")
+    if found.steering_rad is not None and not abs(found.steering_rad) <= _STRONGEST_RAD:
+        expected = f"steering up to {_STRONGEST_RAD} rad"
+        raise ValueError(f"decide: expected {expected}, found {found.steering_rad}")
     if not isinstance(found.reason, str) or len(found.reason) > _MOST_LETTERS:
         expected = f"a reason of at most {_MOST_LETTERS} letters"
         raise TypeError(f"decide: expected {expected}, found {one_line(found.reason, 80)}")

@@ -5,6 +5,7 @@ from typing import cast
 
 from dsrc.closed_loop.driving.anticipating import AnticipatingDriver
 from dsrc.closed_loop.driving.careful import CarefulDriver
+from dsrc.closed_loop.driving.evading import EvadingDriver
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.driving.process import START_S, ProcessDriver
 from dsrc.closed_loop.types import Driver
@@ -16,6 +17,7 @@ from sim.errors import SettingsError, complaint, did_you_mean
 DRIVERS: dict[str, Callable[[], Driver]] = {
     "planning": PlanningDriver,
     "anticipating": AnticipatingDriver,
+    "evading": EvadingDriver,
     "careful": CarefulDriver,
 }
 """Drivers by name."""
@@ -26,7 +28,7 @@ def open_driver(text: str, answer_s: float = 60.0) -> Driver:
     """Return a driver.
 
     Args:
-        text: `planning`, `anticipating`, `careful`, `module:Class` of one's own with `reset(lanes)` and
+        text: `planning`, `anticipating`, `evading`, `careful`, `module:Class` of one's own with `reset(lanes)` and
             `decide(ego, tracks)`, made without arguments, `pipe:COMMAND ...` or `tcp://localhost:PORT`, see
             `dsrc.closed_loop.driving.process`. Modules of the current folder are found.
         answer_s: longest time to an answer of a process, s.

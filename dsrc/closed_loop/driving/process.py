@@ -9,7 +9,7 @@ those of detectors, see `dsrc.detectors.message`. Each question gets one answer:
 "name": TEXT, "wants": [...]}` |
 | `{"type": "reset"}`, before every episode | `{"type": "ready"}` |
 | `{"type": "decide", "ego": {...}, "lights": [...], "classes": [N], ...}`, arrays below | `{"type": "decision"}`, \
-array `decision` (1,) f4 or f8: acceleration, m/s2 |
+array `decision` (1,) or (2,) f4 or f8: acceleration, m/s2, and steering, rad, of one that leaves its route |
 | any | `{"type": "error", "message": TEXT}` |
 
 An answer may have `reason`, a word, and `track`, the number of the decisive one. All is in the world frame (x east, y
@@ -138,10 +138,10 @@ class ProcessDriver:
         with self._lock:
             header, answer = self._line.ask(question, arrays, _Decided, self._answer_s)
         values = answer.arrays.get("decision")
-        if values is None or values.dtype.kind != "f" or values.shape != (1,):
+        if values is None or values.dtype.kind != "f" or values.shape not in ((1,), (2,)):
             found = "none" if values is None else f"{values.dtype} {values.shape}"
-            raise self._line.wrong("decision", "floats of shape (1,)", found)
-        return Decision(float(values[0]), header.reason, header.track)
+            raise self._line.wrong("decision", "floats of shape (1,) or (2,)", found)
+        return Decision(float(values[0]), header.reason, header.track, *map(float, values[1:]))
 
     def close(self) -> None:
         """End the process, or the connection to it."""

@@ -252,11 +252,7 @@ class DrivingEnv(AbstractEnv):
         if not getattr(self.action_type, "lateral", False):
             self.loop.advance(float(ego.action["acceleration"]))
             return
-        ego.action["acceleration"] = self.loop.tick.ego.limits.bounded(float(ego.action["acceleration"]))
-        ego.step(self.loop.scenario.step_s)
-        ego.speed = max(float(ego.speed), 0.0)  # brakes stop a vehicle; highway-env's drive it backwards
-        x, y = to_plane(ego.position)
-        self.loop.advance_to((float(x), float(y), -float(ego.heading)), float(ego.speed))
+        self.loop.advance(float(ego.action["acceleration"]), -float(ego.action["steering"]))
 
     def _mirror(self) -> None:
         """Put the ego and its tracks on highway-env's road."""

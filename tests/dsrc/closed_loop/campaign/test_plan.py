@@ -211,7 +211,7 @@ def test_repeated_seeds_of_a_command_line_are_refused() -> None:
         ('corruption = ["mist"]', "mist"),
         ("seeds = 0", "seeds"),
         ('channel = ["pigeon"]', "pigeon"),
-        ('driver = "reckless"', "driver: name: expected planning, anticipating, careful, module:Class"),
+        ('driver = "reckless"', "driver: name: expected planning, anticipating, evading, careful, module:Class"),
         ("colour = 1", "colour"),
         ("clean_seeds = [1, 1]", "clean_seeds"),
         ('corruption = ["fog", "fog"]', "corruption"),

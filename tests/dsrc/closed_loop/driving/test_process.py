@@ -107,7 +107,7 @@ decide(-1.0, reason="yield", track=int(arrays["track"][0]) if len(arrays["track"
         ("if steps == 3: time.sleep(600)\ndecide(0.0)", "answer: expected one within 1 s, found none"),
         ("decide(float('nan'))", "decide: expected a finite acceleration, found nan"),
         ("decide(0.0, reason='x' * 50)", "answer to decide: expected a message, found Expected `str` of length <= 40"),
-        ("write({'type': 'decision'})", r"decision: expected floats of shape \(1,\), found none"),
+        ("write({'type': 'decision'})", r"decision: expected floats of shape \(1,\) or \(2,\), found none"),
         ("write({'type': 'boxes'})", "type: expected decision, found boxes"),
         ("write({'type': 'error', 'message': 'CUDA\\nout of memory'})", "the driver says: CUDA out of memory"),
         ("os.write(1, b'Epoch 1 of 300')", "begins with DSRC, found b'Epoch 1 '"),
@@ -155,7 +155,7 @@ def test_a_process_that_comes_back_under_another_name_is_refused(tmp_path: Path)
 def test_what_is_no_driver_is_refused(tmp_path: Path) -> None:
     for text, words in {
         "plannin": "did you mean 'planning'?",
-        "driver.pt": "expected planning, anticipating, careful, module:Class, pipe:COMMAND or tcp://localhost:PORT",
+        "driver.pt": "expected planning, anticipating, evading, careful, module:Class, pipe:COMMAND or tcp://localhost:PORT",
         "json:JSONDecoder": "expected a class with reset and decide, found a JSONDecoder without them",
         "nowhere_at_all:Driver": "a class that loads, found ModuleNotFoundError",
         "pipe:": "command: expected pipe:COMMAND",

@@ -274,11 +274,9 @@ def test_an_ego_that_steers_off_the_road_has_left_it_or_hit_something(scenario: 
 @pytest.mark.parametrize("scenario", ["four_way", "highway_env_intersection"])
 def test_an_ego_that_drives_off_at_right_angles_has_left_the_lanes(scenario: str) -> None:
     loop = ClosedLoop(scenario, Blind())
-    box = loop.start(1).ego.box
-    (x, y), yaw = box.center[0, :2], float(box.yaw[0])
-    for step in range(1, 20):
-        aside = np.array([-np.sin(yaw), np.cos(yaw)]) * -0.8 * step
-        loop.advance_to((x + aside[0], y + aside[1], yaw - 0.5 * np.pi), 8.0)
+    loop.start(1)
+    for step in range(60):
+        loop.advance(0.0, -0.8 if step < 5 else 0.0)
         if loop.outcome is not None:
             break
     assert loop.outcome is Outcome.LEFT
@@ -329,7 +327,10 @@ def test_an_ego_that_is_driven_back_makes_no_progress() -> None:
     start = loop.start(0).ego
     x, y = start.box.center[0, :2]
     yaw = float(start.box.yaw[0])
-    moved = loop.advance_to((x - np.cos(yaw), y - np.sin(yaw), yaw), 0.0).ego
+    before = loop.traffic.actors
+    loop.traffic.place(loop.ego_id, np.array([x - np.cos(yaw), y - np.sin(yaw)]), yaw, 0.0)
+    loop.traffic.step()
+    moved = loop.arrive(before).ego
     assert moved.progress_m == pytest.approx(-1.0, abs=1e-6)
     loop.close()
 
