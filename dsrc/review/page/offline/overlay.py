@@ -28,7 +28,7 @@ if(window.__VISER_EMBED_DATA__&&slider)
 
 _CSS = """
 #review,#review-side{position:absolute;z-index:5;top:14px;padding:14px 16px 12px;box-sizing:border-box;
- font:13px/1.45 system-ui,"Segoe UI",Roboto,"DejaVu Sans",sans-serif;color:#dbe3ee;background:rgba(13,16,23,.80);
+ font:13px/1.45 system-ui,"Segoe UI",Roboto,"DejaVu Sans",sans-serif;color:#dbe3ee;background:rgba(13,16,23,.88);
  border:1px solid rgba(148,163,184,.20);border-radius:10px;user-select:none}
 #review{left:16px;max-width:min(330px,80vw)}
 #review-side{right:16px;width:330px;max-width:46%;max-height:calc(100% - 110px);overflow:auto}
@@ -40,7 +40,7 @@ _CSS = """
 #review p{margin:0;color:#93a1b5;font-size:12px}
 #review ul{list-style:none;margin:9px 0 0;padding:8px 0 0;border-top:1px solid rgba(148,163,184,.18)}
 #review li{display:flex;align-items:center;gap:9px;padding:1.5px 0}
-#review i{flex:none;width:10px;height:10px;border-radius:50%}
+#review i{flex:none;width:10px;height:10px;border-radius:50%;box-shadow:0 0 0 1px rgba(148,163,184,.6)}
 #review i.box{width:11px;height:11px;border-radius:2px;background:none;border:2px solid;box-sizing:border-box}
 #review i.dash{border-style:dashed}
 #review b{margin-left:auto;padding-left:16px;font-weight:600;color:#fff;font-variant-numeric:tabular-nums}
