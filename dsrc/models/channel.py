@@ -77,7 +77,7 @@ class Receiver:
             sent = frames[position - link.sent]
             sender = sent.agent(link.sender)
             pose, cloud = sample.ego_from_agent[row], sample.clouds[row]
-            believed = self._believed_pose(sender, sent.time_s, link.sent)
+            believed = self.believed_pose(sender, sent.time_s, link.sent)
             if sent is not frames[0] or believed is not sender.sweep.world_from_lidar:
                 pose = ego_from_world @ believed
                 cloud = cloud_of(sent, sent.agents.index(sender), pose, grid)
@@ -97,13 +97,30 @@ class Receiver:
         )
         return received, links
 
+    def arrived(self, frames: Sequence[Frame], position: int, sender: int, ego: int, after: int) -> list[int]:
+        """Return the numbers of the instants whose message of a sender has arrived by now, in their order.
+
+        Args:
+            frames, position: see `receive`.
+            after: instants up to this one are left out.
+        """
+        snapshots = _Snapshots(frames, position, self.payload)
+        found = []
+        for age in range(min(position - after, len(frames)) - 1, -1, -1):
+            ids = snapshots[age].agent_ids
+            if sender in ids and ego in ids:
+                link = self.channel.link(snapshots[age], sender, ego)
+                if link.received and link.delay_s <= age * self.channel.interval_s + 1e-9:
+                    found.append(position - age)
+        return found
+
     def _lost_tiles(self, link: Link, grid: GridSpec) -> NDArray[np.bool_]:
         """Return the lost tiles of the sender's features; lists of boxes and clouds have no tiles."""
         if self._fusion in ("early", "late") or link.arrived.all():
             return _ALL_ARRIVED
         return lost_tiles(link.arrived, grid.height // TILE_CELLS, grid.width // TILE_CELLS)
 
-    def _believed_pose(self, sender: AgentFrame, time_s: float, index: int) -> NDArray[np.float64]:
+    def believed_pose(self, sender: AgentFrame, time_s: float, index: int) -> NDArray[np.float64]:
         """Return the sender's believed world_from_lidar (4, 4); the same array without any error."""
         channel = self.channel
         spec = channel.sent_with(index, sender.agent_id)

@@ -32,8 +32,13 @@ from studies.look import put_table
 
 SCENARIOS = ("lta_truck", "ima_building", "ima_queue")
 DELAYS_S = (0.0, 0.4)
-KINDS = ("late", "stale", "team")
-NAMES = {"late": "boxes, moved to the present", "stale": "boxes as they were measured", "team": "features"}
+KINDS = ("late", "stale", "team", "cpm")
+NAMES = {
+    "late": "boxes, moved to the present",
+    "stale": "boxes as they were measured",
+    "team": "features",
+    "cpm": "ETSI messages",
+}
 DETECT_EVERY_S = 0.2
 REACH_M = (50.0, 25.0)
 """Ahead and aside of the ego: within the detector's range."""
@@ -76,10 +81,13 @@ def read(path: Path) -> Iterator[dict[str, str]]:
 def drive(scenario: str, seed: int, kind: str, delay_s: float) -> dict[str, Any]:
     """Drive one episode and return its row."""
     channel = "ideal" if delay_s == 0.0 else f"ideal,delay_s={delay_s:g}"
-    opened: Any = open_perception("team" if kind == "team" else "late", engine="auto")
-    perception = DetectorPerception(
-        opened.detector, channel=get_channel(channel), interval_s=DETECT_EVERY_S, moved=kind != "stale"
+    perception: Any = open_perception(
+        "late" if kind == "stale" else kind, channel=channel, interval_s=DETECT_EVERY_S, engine="auto"
     )
+    if kind == "stale":
+        perception = DetectorPerception(
+            perception.detector, channel=get_channel(channel), interval_s=DETECT_EVERY_S, moved=False
+        )
     settings = dsrc.LoopSettings(detect_every_s=DETECT_EVERY_S)
     loop = dsrc.ClosedLoop(scenario, perception, settings=settings)
     outcome = loop.run(seed)

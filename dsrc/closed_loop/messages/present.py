@@ -11,6 +11,7 @@ import numpy as np
 from dsrc.closed_loop.messages.message import SAME_M, Message, Objects
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Percept, Tracks
+from sim.boxes import Boxes
 from sim.geometry import Array
 
 _SAME_S = 1e-6
@@ -43,10 +44,7 @@ class Present:
             velocity[known], rate[known] = tracks.velocity[nearest[known]], tracks.yaw_rate[nearest[known]]
         stated = np.isfinite(told.velocity).all(axis=1)
         velocity[stated] = told.velocity[stated]
-        boxes = told.boxes
-        center = boxes.center.copy()
-        center[:, :2] += age_s * _turned(velocity, 0.5 * age_s * rate)  # the chord of the arc
-        moved = replace(boxes, center=center, yaw=boxes.yaw + age_s * rate)
+        moved = advanced(told.boxes, velocity, rate, np.full(len(told), age_s))
         return Objects(moved, told.score, told.velocity)
 
     def _tracked(self, message: Message) -> Tracks:
@@ -58,6 +56,13 @@ class Present:
             tracks = tracker.update(percept, message.time_s)
             self._trackers[message.sender] = tracker, tracks
         return tracks
+
+
+def advanced(boxes: Boxes, velocity: Array, rate: Array, age_s: Array) -> Boxes:
+    """Return boxes after (N,) times, by constant (N, 2) velocity and (N,) turn rate."""
+    center = boxes.center.copy()
+    center[:, :2] += age_s[:, None] * _turned(velocity, 0.5 * age_s * rate)  # the chord of the arc
+    return replace(boxes, center=center, yaw=boxes.yaw + age_s * rate)
 
 
 def _turned(vectors: Array, angle: Array) -> Array:

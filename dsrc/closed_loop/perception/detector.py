@@ -129,13 +129,18 @@ class DetectorPerception:
 
     def sample(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> tuple[Sample, tuple[Link, ...]]:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
-        frame, request = self._sense(before, now, claims), self.detector.settings.request
+        sample = self._sample(self._sense(before, now, claims), now)
+        grid = self.detector.settings.request.grid
+        return self._receiver.receive(self._past, self.senses.index, sample, grid)
+
+    def _sample(self, frame: Frame, now: Actors) -> Sample:
+        """Return what all agents measured in a frame, unlabelled."""
+        request = self.detector.settings.request
         speed_mps = float(np.linalg.norm(now.velocity[now.row(self._ego_id)]))
         ahead_m = _shift_m(speed_mps, self.look_ahead_s, request.grid.range_m[3])
         sample = make_sample(frame, self._ego_id, request, cooperative=self.cooperative, ahead_m=ahead_m)
-        sample, links = self._receiver.receive(self._past, self.senses.index, sample, request.grid)
         none = (Boxes.zeros(),) * len(sample.agent_ids)
-        return replace(sample, boxes=Boxes.zeros(), agent_boxes=none), links
+        return replace(sample, boxes=Boxes.zeros(), agent_boxes=none)
 
     def overhear(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> None:
         """Let the helpers measure and send between two percepts; arguments as `perceive`."""
@@ -158,13 +163,8 @@ class DetectorPerception:
             TypeError: the detector returns something else than `Detections`.
         """
         sample, links = self.sample(before, now, claims)
-        told: tuple[Told, ...] = ()
-        seen = self._seen(sample, links)
         with one_thread():  # workers beside each other would take the cores from one another
-            if self._inbox.active or (self._moved and self.message_interval_s and tells_boxes(self.detector)):
-                found, told, seen = self._read(sample, links)
-            else:
-                found = self.detector.detect(sample)
+            found, told, seen = self._find(sample, links)
         if not isinstance(found, Detections):
             name = getattr(self.detector, "name", type(self.detector).__name__)
             raise TypeError(f"{name}.detect: expected Detections, found {type(found).__name__}")
@@ -179,6 +179,12 @@ class DetectorPerception:
             seen=seen,
             told=told,
         )
+
+    def _find(self, sample: Sample, links: tuple[Link, ...]) -> tuple[Detections, tuple[Told, ...], SeenSpace]:
+        """Return the detections, what became of the helpers' messages, and the seen space."""
+        if self._inbox.active or (self._moved and self.message_interval_s and tells_boxes(self.detector)):
+            return self._read(sample, links)
+        return self.detector.detect(sample), (), self._seen(sample, links)
 
     def _seen(self, sample: Sample, links: tuple[Link, ...]) -> SeenSpace:
         """Return the seen space by the sweeps that arrived, each where it is believed to be measured."""
@@ -205,7 +211,11 @@ class DetectorPerception:
         senders = [(self._ego_id, ego, ego.agent(self._ego_id).sweep.world_from_lidar), *self._sent(sample, links)]
         messages = [
             Message.honest(
-                agent, frame.time_s, pose, _objects(part, world_from_sample), partial(View.of, frame.agent(agent), pose)
+                agent,
+                frame.time_s,
+                pose,
+                as_objects(part, world_from_sample),
+                partial(View.of, frame.agent(agent), pose),
             )
             for (agent, frame, pose), part in zip(senders, parts, strict=True)
         ]
@@ -217,7 +227,7 @@ class DetectorPerception:
                 self._present.moved(one, ego.time_s) if self._moved and one.sender != self._ego_id else one.objects
             )
             same = objects is one.objects and not one.attacked
-            believed.append((part if same else _detections(objects, world_from_sample))[kept])
+            believed.append((part if same else as_detections(objects, world_from_sample))[kept])
         return detector.joined(believed), mail.told if self._inbox.active else (), mail.seen
 
 
@@ -226,12 +236,14 @@ def tells_boxes(detector: SampleDetector) -> bool:
     return hasattr(detector, "detect_each") and fusion_of(detector.settings) == "late"
 
 
-def _objects(found: Detections, world_from_sample: NDArray[np.float64]) -> Objects:
+def as_objects(found: Detections, world_from_sample: NDArray[np.float64]) -> Objects:
+    """Return detections in a sample's frame as objects in the world, without velocities."""
     boxes = found.boxes.transform(world_from_sample)
     return Objects(boxes, found.score.astype(np.float64), np.full((len(boxes), 2), np.nan))
 
 
-def _detections(objects: Objects, world_from_sample: NDArray[np.float64]) -> Detections:
+def as_detections(objects: Objects, world_from_sample: NDArray[np.float64]) -> Detections:
+    """Return objects in the world as detections in a sample's frame."""
     return Detections(objects.boxes.transform(invert(world_from_sample)), objects.score.astype(np.float32))
 
 

@@ -24,12 +24,14 @@ TOGETHER = "team"
 """A detector with helpers."""
 LATE = "late"
 """A detector of each agent alone, and their boxes joined."""
+CPM = "cpm"
+"""As `LATE`, by ETSI's Collective Perception Messages."""
 TELLING = (TEAM_SIGHT, LATE)
 """Helpers tell boxes, in which they can lie."""
 MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
 
-_NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE)
+_NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE, CPM)
 _FORMER = {"dsrc": TOGETHER}
 """Names of earlier versions, which logs and plans still have."""
 _IDEAL = PRESETS[IDEAL]
@@ -60,8 +62,9 @@ def open_perception(
             * `truth`: all road users near the ego; `sight`: those that its LiDAR can see; `team-sight`: those that it
               or a helper's can;
             * `ego`: a detector on the ego's sweeps alone; `team`: one with helpers; `late`: each agent's detections,
-              joined, by a detector whose fusion has no weights, such as the shipped ones;
-            * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`: without; `late=FILE`: late fusion;
+              joined, by a detector whose fusion has no weights, such as the shipped ones; `cpm`: likewise, with the
+              objects, resolution and sizes of ETSI's Collective Perception Messages;
+            * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`, `late=FILE`, `cpm=FILE`: as these;
             * FILE.json or NAME=FILE.json: an error model, see `dsrc model fit`; `model`: that of `checkpoint`;
             * `module:Class` of one's own, made without arguments: a perception (`reset`, `perceive`), or a detector
               (`detect(sample) -> Detections`, and `settings`, a `SampleRequest`, unless the shipped detector's serves).
@@ -129,12 +132,13 @@ def open_perception(
         if not file and name not in _NAMES:
             hint = did_you_mean(name, _NAMES)
             raise SettingsError(complaint("perception", "name", "a name, FILE, NAME=FILE or module:Class", name, hint))
-        detector, engine = _loaded(path, device, engine, late=name == LATE)
+        detector, engine = _loaded(path, device, engine, late=name in (LATE, CPM))
+    from dsrc.closed_loop.perception.cpm import CpmPerception
     from dsrc.closed_loop.perception.detector import DetectorPerception
 
     cooperative = name != ALONE
     spec = radio if cooperative else _IDEAL
-    return DetectorPerception(
+    return (CpmPerception if name == CPM else DetectorPerception)(
         cast(SampleDetector, detector),
         cooperative=cooperative,
         condition=condition,
@@ -171,7 +175,7 @@ def parse_perception(text: str) -> Words:
     is_path = is_path and kind_of(what) not in ("pipe", "tcp")
     if not is_path and (not name or ":" in what or what in (*_NAMES, *_FORMER)):
         return Words(name or what, _FORMER.get(what, what), "")
-    kind = MODELLED if what.endswith(".json") else name if name in (ALONE, LATE) else TOGETHER
+    kind = MODELLED if what.endswith(".json") else name if name in (ALONE, LATE, CPM) else TOGETHER
     return Words(name or Path(what).stem, kind, what)
 
 

@@ -1,0 +1,169 @@
+"""Collective Perception Messages of ETSI TS 103 324 V2.1.1 (2023-06): when which objects are told, and how finely.
+
+* A message is made at most every 0.1 s and at least every second (6.1.2.1; Table F.1): here at each sweep at which an
+  object is told, or after a second.
+* Vehicles and motorcycles, Type-B, are told when they are new, have moved more than 4 m, changed their speed by more
+  than 0.5 m/s or their direction by 4 degrees, or were told a second ago (6.1.2.3, rule 2). What is slower than 0.5 m/s
+  has no direction: that of a standing track is noise.
+* Pedestrians and bicycles, Type-A: all of them when one is new or was told half a second ago (6.1.2.3, rule 1).
+* Resolutions and ranges are those of the data elements of `PerceivedObject` in ETSI TS 102 894-2 V2.1.1, see
+  `quantised`. Times are those of the sweep, to the millisecond.
+
+Nothing is encoded: sizes are those of `sim.radio.cpm_bytes`. Redundancy mitigation, by which senders leave out what
+others tell, is not done. Objects are tracks: the message states velocities and turn rates.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsrc.closed_loop.messages.message import Objects
+from dsrc.closed_loop.messages.present import advanced
+from dsrc.closed_loop.tracking.tracker import Tracker
+from dsrc.closed_loop.types import Percept, Tracks
+from sim.boxes import CLASSES, Boxes
+from sim.geometry import Array, wrap_angle
+from sim.radio import cpm_bytes
+
+LONGEST_S = 1.0
+"""`T_GenCpmMax`: longest time between two messages, and after which an object of Type-B is told again, s."""
+MOVED_M, FASTER_MPS, TURNED_DEG = 4.0, 0.5, 4.0
+"""Least change of an object of Type-B since it was told (Table F.1)."""
+FORGOTTEN_S = 1.5
+"""Age from which a receiver drops an object: it would have been told again, even if one message was lost, s."""
+_TYPE_A = [CLASSES.index(name) for name in ("pedestrian", "bicycle")]
+_SLACK_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cpm:
+    """One message.
+
+    Attributes:
+        time_s: instant of its objects, s.
+        objects: N objects with velocities, world frame; `object_id` is the sender's number of each.
+        rate: (N,) turn rates, rad/s.
+    """
+
+    time_s: float
+    objects: Objects
+    rate: Array
+
+    @property
+    def bytes(self) -> int:
+        """Size on air."""
+        return cpm_bytes(len(self.objects))
+
+
+def quantised(tracks: Tracks) -> tuple[Objects, Array]:
+    """Return tracks as a message states them, and their turn rates, rad/s.
+
+    Data elements of ETSI TS 102 894-2 V2.1.1: `CartesianCoordinateLarge` 0.01 m, here from the world's origin in place
+    of the sender; `VelocityComponentValue` 0.01 m/s, to 163.83; `CartesianAngleValue` 0.1 degrees;
+    `CartesianAngularVelocityComponentValue` 1 degree/s, to 254; `ObjectDimensionValue` 0.1 to 25.4 m in steps of 0.1;
+    `ConfidenceLevel` 1 to 100 %.
+    """
+    boxes = tracks.boxes
+    stated = Boxes(
+        _steps(boxes.center, 0.01),
+        _steps(boxes.size, 0.1, 0.1, 25.4),
+        wrap_angle(_steps(boxes.yaw, np.radians(0.1))),
+        boxes.label,
+        boxes.object_id,
+    )
+    velocity = _steps(tracks.velocity, 0.01, -163.83, 163.83)
+    rate = _steps(tracks.yaw_rate, np.radians(1.0), -np.radians(254.0), np.radians(254.0))
+    return Objects(stated, _steps(tracks.score, 0.01, 0.01, 1.0), velocity), rate
+
+
+def _steps(values: Array, step: float, low: float = -np.inf, high: float = np.inf) -> Array:
+    return np.clip(np.rint(values / step) * step, low, high)
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """An object as it was told last."""
+
+    time_s: float
+    xy: Array
+    velocity: Array
+
+
+class CpmSender:
+    """Sender of an agent over an episode: it tracks what it detects and tells of it by the rules."""
+
+    def __init__(self) -> None:
+        self._tracker = Tracker()
+        self._told: dict[int, _Told] = {}
+        self._sent_s = -np.inf
+
+    def message(self, detected: Objects, time_s: float) -> Cpm | None:
+        """Return the message of an instant, None where none is made; instants come in their order.
+
+        Args:
+            detected: objects that the agent detects now, world frame.
+        """
+        percept = Percept(time_s, detected.boxes, detected.score, detected.velocity)
+        tracks = self._tracker.update(percept, time_s)
+        tracks = tracks[tracks.unseen_s <= _SLACK_S]
+        due = self._due(tracks, time_s)
+        if not due.any() and time_s - self._sent_s < LONGEST_S - _SLACK_S:
+            return None
+        told = tracks[due]
+        for number, xy, velocity in zip(
+            told.boxes.object_id.tolist(), told.boxes.center[:, :2], told.velocity, strict=True
+        ):
+            self._told[number] = _Told(time_s, xy, velocity)
+        self._sent_s = time_s
+        return Cpm(round(time_s, 3), *quantised(told))
+
+    def _due(self, tracks: Tracks, time_s: float) -> np.ndarray:
+        """Return (N,) which tracks are told now."""
+        soft = np.isin(tracks.boxes.label, _TYPE_A)
+        due = np.zeros(len(tracks), bool)
+        for row, number in enumerate(tracks.boxes.object_id.tolist()):
+            last = self._told.get(number)
+            if last is None:
+                due[row] = True
+                continue
+            age_s = time_s - last.time_s + _SLACK_S
+            if soft[row]:
+                due[row] = age_s >= 0.5 * LONGEST_S
+                continue
+            velocity = tracks.velocity[row]
+            speeds = np.linalg.norm([last.velocity, velocity], axis=1)
+            turned = wrap_angle(np.diff(np.arctan2([last.velocity[1], velocity[1]], [last.velocity[0], velocity[0]])))
+            due[row] = (
+                age_s >= LONGEST_S
+                or np.linalg.norm(tracks.boxes.center[row, :2] - last.xy) > MOVED_M
+                or abs(speeds[1] - speeds[0]) > FASTER_MPS
+                or (speeds.min() > FASTER_MPS and abs(turned[0]) >= np.radians(TURNED_DEG))
+            )
+        return due | (soft & bool(due[soft].any()))
+
+
+class CpmPicture:
+    """What a receiver knows of one sender's objects: each as it was told last."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[float, Cpm, int]] = {}
+        self.newest = 0
+        """Number of the newest instant whose message was taken in."""
+
+    def hear(self, message: Cpm) -> None:
+        """Take in a message; those of a sender come in their order."""
+        for row, number in enumerate(message.objects.boxes.object_id.tolist()):
+            self._known[number] = message.time_s, message, row
+
+    def objects(self, time_s: float) -> Objects:
+        """Return the objects moved to the present by their stated motion."""
+        self._known = {key: one for key, one in self._known.items() if time_s - one[0] <= FORGOTTEN_S}
+        known = list(self._known.values())
+        rows = [message.objects.boxes.array[row] for _, message, row in known]
+        label = np.array([message.objects.boxes.label[row] for _, message, row in known], np.int64)
+        velocity = np.array([message.objects.velocity[row] for _, message, row in known]).reshape(-1, 2)
+        rate = np.array([message.rate[row] for _, message, row in known])
+        score = np.array([message.objects.score[row] for _, message, row in known])
+        age_s = time_s - np.array([since for since, _, _ in known])
+        boxes = Boxes.from_array(np.array(rows).reshape(-1, 7), label=label)
+        return Objects(advanced(boxes, velocity, rate, age_s), score, velocity)

@@ -1,0 +1,88 @@
+"""Detector whose helpers send ETSI's Collective Perception Messages in place of all their boxes."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dsrc.closed_loop.messages.cpm import Cpm, CpmPicture, CpmSender
+from dsrc.closed_loop.messages.message import Objects
+from dsrc.closed_loop.perception.detector import DetectorPerception, as_detections, as_objects, tells_boxes
+from dsrc.closed_loop.seen_space import SeenSpace
+from dsrc.closed_loop.types import Told
+from dsrc.data.sample import Sample
+from dsrc.models.device import one_thread
+from dsrc.ops.detections import Detections
+from sensors.frame import Frame
+from sim.boxes import Boxes
+from sim.errors import SettingsError, complaint
+from sim.geometry import invert
+from sim.radio import MAX_AGE, Link
+from sim.scenario import Scenario
+from sim.traffic.base import Actors
+
+
+class CpmPerception(DetectorPerception):
+    """Late fusion of what helpers tell by the rules of `dsrc.closed_loop.messages.cpm`.
+
+    Each helper detects and tracks at every sweep, and its messages have the size of their objects. The ego keeps every
+    object as it was told last, moved to the present.
+
+    Raises:
+        SettingsError: as `DetectorPerception`; a detector whose agents do not tell boxes.
+    """
+
+    def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
+        """Begin an episode."""
+        if not tells_boxes(self.detector):
+            expected = "agents that tell boxes, as those of late fusion do"
+            raise SettingsError(complaint("perception", "detector", expected, "one that fuses clouds or features"))
+        super().reset(scenario, ego_id, seed)
+        self._receiver.payload = self._bytes
+        self._senders: dict[int, CpmSender] = {}
+        self._pictures: dict[int, CpmPicture] = {}
+        self._messages: dict[int, dict[int, Cpm | None]] = {}
+
+    def _sense(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Frame:
+        frame = super()._sense(before, now, claims)
+        sample = self._sample(frame, now)
+        with one_thread():
+            parts = self.detector.detect_each(sample)  # type: ignore[attr-defined]  # see `reset`
+        own, *told = (as_objects(part, self._world_from_sample(sample)) for part in parts)
+        self._own: Objects = own
+        self._messages[self.senses.index] = {
+            agent: self._senders.setdefault(agent, CpmSender()).message(one, frame.time_s)
+            for agent, one in zip(sample.agent_ids[1:], told, strict=True)
+        }
+        self._messages.pop(self.senses.index - MAX_AGE - 1, None)
+        return frame
+
+    def _bytes(self, frame: Frame, row: int) -> int:
+        message = self._messages.get(frame.index, {}).get(frame.agents[row].agent_id)
+        return 0 if message is None else message.bytes
+
+    def _find(self, sample: Sample, links: tuple[Link, ...]) -> tuple[Detections, tuple[Told, ...], SeenSpace]:
+        world_from_sample, now = self._world_from_sample(sample), self._past[0]
+        parts = [as_detections(self._own, world_from_sample)]
+        for link in links:
+            picture = self._pictures.setdefault(link.sender, CpmPicture())
+            for number in self._receiver.arrived(
+                self._past, self.senses.index, link.sender, self._ego_id, picture.newest
+            ):
+                picture.newest = number
+                if (message := self._messages.get(number, {}).get(link.sender)) is not None:
+                    picture.hear(self._believed(message, link.sender, number))
+            parts.append(as_detections(picture.objects(now.time_s), world_from_sample))
+        return self.detector.joined(parts), (), self._seen(sample, links)  # type: ignore[attr-defined]
+
+    def _believed(self, message: Cpm, agent_id: int, number: int) -> Cpm:
+        """Return a message whose sender errs about where it is, by the error of the channel."""
+        frame = self._past[self.senses.index - number]
+        sender = frame.agent(agent_id)
+        pose = self._receiver.believed_pose(sender, frame.time_s, number)
+        if pose is sender.sweep.world_from_lidar:
+            return message
+        moved = pose @ invert(sender.sweep.world_from_lidar)
+        objects = message.objects
+        velocity = objects.velocity @ moved[:2, :2].T
+        boxes: Boxes = objects.boxes.transform(moved)
+        return replace(message, objects=Objects(boxes, np.asarray(objects.score), velocity))

@@ -1,0 +1,107 @@
+"""Collective Perception Messages: which objects are told when, how finely, and what a receiver makes of them."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dsrc.closed_loop.messages.cpm import FORGOTTEN_S, CpmPicture, CpmSender, quantised
+from dsrc.closed_loop.messages.message import Objects
+from dsrc.closed_loop.types import Tracks
+from sim.boxes import CLASSES, Boxes
+
+CAR, WALKER = CLASSES.index("car"), CLASSES.index("pedestrian")
+SIZE = {CAR: (4.5, 1.9, 1.6), WALKER: (0.6, 0.6, 1.75)}
+
+
+def seen(*rows: tuple[float, float, int], yaw: float = 0.0) -> Objects:
+    """Return detections of road users at x, y of a class."""
+    boxes = [[x, y, 0.8, *SIZE[label], yaw] for x, y, label in rows]
+    label = np.array([label for *_, label in rows], np.int64)
+    return Objects(
+        Boxes.from_array(np.array(boxes, np.float64).reshape(-1, 7), label=label),
+        np.full(len(rows), 0.9),
+        np.full((len(rows), 2), np.nan),
+    )
+
+
+def told_at(way, times: np.ndarray, label: int = CAR) -> list[float]:
+    """Return the times at which a road user is told whose place at a time `way` gives."""
+    sender, found = CpmSender(), []
+    for time_s in times:
+        message = sender.message(seen((*way(time_s), label)), time_s)
+        if message is not None and len(message.objects):
+            found.append(time_s)
+    return found
+
+
+def test_a_parked_car_is_told_once_a_second_and_a_pedestrian_twice() -> None:
+    times = np.arange(0.0, 5.05, 0.1)
+    for label, every_s in ((CAR, 1.0), (WALKER, 0.5)):
+        told = told_at(lambda _: (10.0, 3.0), times, label)
+        np.testing.assert_allclose(np.diff(told)[1:], every_s, atol=1e-9)
+
+
+def test_a_steady_car_is_told_whenever_it_has_moved_more_than_4_m() -> None:
+    told = told_at(lambda t: (15.0 * t, 0.0), np.arange(0.0, 6.05, 0.1))
+    settled = np.diff([time_s for time_s in told if time_s > 3.0])
+    np.testing.assert_allclose(settled, 0.3, atol=1e-9)  # 4.5 m: 3 m are too few
+
+
+def test_a_car_that_brakes_is_told_for_its_speed_before_it_has_moved_4_m() -> None:
+    def way(t: float) -> tuple[float, float]:
+        braked = max(0.0, min(t - 3.0, 1.0))
+        return 8.0 * t - 0.5 * 6.0 * braked**2 - 6.0 * max(0.0, t - 4.0), 0.0
+
+    told = np.array(told_at(way, np.arange(0.0, 5.05, 0.1)))
+    steady, braking = np.diff(told[(told > 1.5) & (told < 3.05)]), np.diff(told[(told > 3.25) & (told < 4.05)])
+    assert steady.min() > 0.45 and braking.max() < 0.25
+
+
+def test_one_new_pedestrian_makes_all_of_them_told() -> None:
+    sender = CpmSender()
+    for step in range(13):
+        both = seen((10.0, 3.0, WALKER), *([(20.0, -3.0, WALKER)] if step >= 8 else []))
+        message = sender.message(both, 0.1 * step)
+        if message is not None and len(message.objects) == 2:
+            break
+    assert 8 <= step <= 10, "the new one, and the other with it, before its own half second is over"
+
+
+def test_numbers_are_as_fine_as_their_data_elements_and_within_their_ranges() -> None:
+    rng = np.random.default_rng(0)
+    rows = [rng.normal(0, 50, (40, 3)), rng.uniform(0.01, 40, (40, 3)), rng.normal(0, 2, 40)]
+    boxes, velocity = Boxes.from_array(np.column_stack(rows)), rng.normal(0, 100, (40, 2))
+    tracks = Tracks(0.0, boxes, velocity, rng.normal(0, 3, 40), np.ones(40), rng.random(40), np.zeros(40))
+    objects, rate = quantised(tracks)
+    for values, given, step in (
+        (objects.boxes.center, boxes.center, 0.01),
+        (objects.score, np.clip(tracks.score, 0.01, 1.0), 0.01),
+        (objects.velocity, np.clip(tracks.velocity, -163.83, 163.83), 0.01),
+        (objects.boxes.size, np.clip(boxes.size, 0.1, 25.4), 0.1),
+        (np.degrees(rate), np.clip(np.degrees(tracks.yaw_rate), -254.0, 254.0), 1.0),
+    ):
+        np.testing.assert_allclose(values / step, np.rint(values / step), atol=1e-6)
+        assert np.abs(values - given).max() <= 0.5 * step + 1e-9
+    off = np.degrees(np.angle(np.exp(1j * (objects.boxes.yaw - boxes.yaw))))
+    assert np.abs(off).max() <= 0.05 + 1e-9
+
+
+def test_a_receiver_moves_what_it_knows_and_forgets_what_is_told_no_more() -> None:
+    sender, picture, sizes = CpmSender(), CpmPicture(), []
+    for step in range(41):
+        message = sender.message(seen((12.0 * 0.1 * step, 0.0, CAR), (30.0, 9.0, CAR)), 0.1 * step)
+        if message is not None:
+            picture.hear(message)
+            sizes.append(message.bytes)
+    known = picture.objects(4.2)
+    np.testing.assert_allclose(np.sort(known.boxes.center[:, 0]), [30.0, 50.4], atol=0.4)
+    assert len(sizes) < 25 and {b - a for a, b in pairwise(sizes)} <= {-35, 0, 35}
+    assert len(picture.objects(4.0 + FORGOTTEN_S + 1.0)) == 0
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_an_agent_that_sees_nothing_still_sends_once_a_second(count: int) -> None:
+    sender = CpmSender()
+    sent = [sender.message(seen(*[(5.0, 5.0, CAR)] * count), 0.1 * step) is not None for step in range(30)]
+    assert sum(sent) == 3

@@ -1,0 +1,53 @@
+"""ETSI's messages in the loop: fewer bytes than all boxes, and about what they tell."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
+from dsrc.closed_loop.messages.message import near_any
+from dsrc.closed_loop.perception.cpm import CpmPerception
+from dsrc.closed_loop.perception.detector import DetectorPerception
+from dsrc.closed_loop.perception.open import open_perception
+from dsrc.closed_loop.types import Percept
+from sim.errors import SettingsError
+from tests.dsrc.evaluation.fakes import PointCounter
+
+
+@pytest.fixture(scope="module")
+def loop() -> ClosedLoop:
+    driven = ClosedLoop("lta_truck", open_perception("truth"), settings=LoopSettings(duration_s=2.5))
+    driven.run(1)
+    return driven
+
+
+def percepts(loop: ClosedLoop, text: str, channel: str) -> list[Percept]:
+    eyes: Any = open_perception(text, channel=channel)
+    assert isinstance(eyes, DetectorPerception)
+    eyes.reset(loop.scenario, loop.ego_id, 1)
+    actors = [tick.actors for tick in loop.ticks[-16:]]
+    return [eyes.perceive(before, now, {}) for before, now in zip(actors, actors[1:], strict=False)]
+
+
+def test_messages_are_smaller_than_those_of_all_boxes_and_tell_of_the_same_objects(loop: ClosedLoop) -> None:
+    told, late = percepts(loop, "cpm", "its-g5-6"), percepts(loop, "late", "its-g5-6")
+    sent, usual = (sum(link.bytes_now for one in found for link in one.links) for found in (told, late))
+    assert 0 < sent < 0.7 * usual
+    last, boxes = told[-1], late[-1]
+    assert near_any(boxes.boxes, last.boxes).mean() > 0.7
+    assert np.isnan(last.velocity).all() and (last.boxes.object_id == -1).all()
+
+
+def test_without_a_message_the_ego_is_alone_and_two_runs_are_the_same(loop: ClosedLoop) -> None:
+    silent, alone = percepts(loop, "cpm", "ideal,loss=1"), percepts(loop, "ego", "ideal")
+    assert [len(one.boxes) for one in silent] == [len(one.boxes) for one in alone]
+    first, second = (percepts(loop, "cpm", "paper") for _ in range(2))
+    assert [one.boxes.array.tobytes() for one in first] == [one.boxes.array.tobytes() for one in second]
+
+
+def test_what_cannot_tell_boxes_is_refused(loop: ClosedLoop) -> None:
+    with pytest.raises(SettingsError, match="agents that tell boxes, as those of late fusion do, found one that fuses"):
+        CpmPerception(PointCounter()).reset(loop.scenario, loop.ego_id, 0)
+    with pytest.raises(SettingsError, match=r"fault 'ghost:1': expected a perception whose helpers tell boxes"):
+        open_perception("cpm", fault="ghost")
