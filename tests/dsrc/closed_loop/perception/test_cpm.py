@@ -1,5 +1,6 @@
 """ETSI's messages in the loop: fewer bytes than all boxes, and about what they tell."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ def percepts(loop: ClosedLoop, text: str, channel: str) -> list[Percept]:
     assert isinstance(eyes, DetectorPerception)
     eyes.reset(loop.scenario, loop.ego_id, 1)
     actors = [tick.actors for tick in loop.ticks[-16:]]
-    return [eyes.perceive(before, now, {}) for before, now in zip(actors, actors[1:], strict=False)]
+    return [eyes.perceive(before, now, {}) for before, now in pairwise(actors)]
 
 
 def test_messages_are_smaller_than_those_of_all_boxes_and_tell_of_the_same_objects(loop: ClosedLoop) -> None:
