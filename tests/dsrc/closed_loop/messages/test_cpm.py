@@ -1,5 +1,6 @@
 """Collective Perception Messages: which objects are told when, how finely, and what a receiver makes of them."""
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -25,7 +26,7 @@ def seen(*rows: tuple[float, float, int], yaw: float = 0.0) -> Objects:
     )
 
 
-def told_at(way, times: np.ndarray, label: int = CAR) -> list[float]:
+def told_at(way: Callable[[float], tuple[float, float]], times: np.ndarray, label: int = CAR) -> list[float]:
     """Return the times at which a road user is told whose place at a time `way` gives."""
     sender, found = CpmSender(), []
     for time_s in times:
