@@ -11,6 +11,7 @@ from sim.roads.networks import read_network
 from sim.scenario import Scenario
 from sim.traffic.parking import parked_cars
 from sim.world.highway import highway_streets
+from sim.world.roads.islands import with_islands
 from sim.world.roads.kerbs import kerbs_of, stones
 from sim.world.roads.landscape import uneven_land
 from sim.world.roads.streets import Streets, read_streets
@@ -38,7 +39,10 @@ def streets_of(scenario: Scenario, seed: int) -> Streets:
 
 @lru_cache(maxsize=_KEPT)
 def _uneven(scenario_json: bytes, seed: int) -> Streets:
-    streets = _level(msgspec.json.decode(scenario_json, type=Scenario), seed)
+    scenario = msgspec.json.decode(scenario_json, type=Scenario)
+    streets = _level(scenario, seed)
+    if scenario.conflict is None:  # whose road users may leave their lanes
+        streets = with_islands(streets)
     paved = pavement(streets)
     kerbs = kerbs_of(streets, paved, seed)
     terrain, land = uneven_land(streets, paved, kerbs, seed)

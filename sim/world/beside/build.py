@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from sim.geometry import Array
-from sim.mesh.solids import MeshPart, move
+from sim.mesh.solids import MeshPart, move, rings_of
 from sim.scenario import Scenario
 from sim.streams import Stream, random_generator
 from sim.world.beside import posts
@@ -19,16 +19,20 @@ from sim.world.beside.bays import behind_bays
 from sim.world.beside.boundaries import boundaries, kerbs, shrub_shapes, shrubs_at
 from sim.world.beside.edges import Edge, edges_of, scatter
 from sim.world.beside.facades import relief
-from sim.world.beside.fences import THICK_M, fence
+from sim.world.beside.fences import HEIGHT_M, THICK_M, fence
 from sim.world.beside.ground import Ground
 from sim.world.beside.planting import Nursery, foot_at, kerb_rows, mapped, scattered
 from sim.world.beside.plants import HEDGE_TIPS_M, grass, hedge
 from sim.world.furniture.barriers import barrier
-from sim.world.furniture.kerbside import fixtures
+from sim.world.furniture.kerbside import fixtures, traffic_light
 from sim.world.furniture.map_objects import MapObjects
 from sim.world.roads.streets import Streets
 
 _FROM_CORNER_M = 6.0
+_SIGNAL_M = 25.0
+"""Farthest stop line whose signal is repeated on an island, m."""
+_INSET_M, _RAIL_M2, _SPACE_M = 0.5, 12.0, 0.35
+"""Distance of railings and bollards from the edge of an island, area from which it has railings, and room of a post."""
 
 THINGS: dict[str, tuple[Callable[[np.random.Generator], MeshPart], float, bool]] = {
     "sign": (posts.sign, 0.35, True),
@@ -92,6 +96,8 @@ def beside(site: Site, seed: int, density: float = 1.0) -> list[MeshPart]:
 
     things += _map_barriers(rng("map barriers"), site.map_objects, ground)
     nursery = Nursery(rng("species"))
+    if density > 0.0:
+        things += _on_islands(rng("islands"), ground)
     things += behind_bays(rng("bays"), edges, density, nursery, ground)
     things += boundaries(rng("boundaries"), edges, density, ground) + kerbs(rng("kerbs"), edges, density, ground)
     things += mapped(rng("map trees"), site.map_objects, edges, nursery, ground)
@@ -120,6 +126,32 @@ def _map_barriers(rng: np.random.Generator, map_objects: MapObjects, ground: Gro
                 parts += fence(rng, like, piece, height_m, ground.streets)
         else:
             parts += barrier(kind, line, height_m, ground.streets)
+    return parts
+
+
+def _on_islands(rng: np.random.Generator, ground: Ground) -> list[MeshPart]:
+    """Return a signal or a sign in the middle of each island, railings or bollards along its edge on large ones."""
+    streets, parts = ground.streets, []
+    stops = [lane for lane in streets.lanes if lane.stop == "signal" and lane.kind == "road"]
+    ends = shapely.STRtree([shapely.Point(lane.line[-1]) for lane in stops])
+    for island in rings_of(streets.islands & ground.fine):
+        place = np.array(shapely.maximum_inscribed_circle(island).coords[0])
+        near = ends.query_nearest(shapely.Point(place), max_distance=_SIGNAL_M, all_matches=False)
+        if ground.free(place[None], 0.1, at_kerb=True)[0] and ground.take(place, _SPACE_M):
+            if len(near):
+                way, make = np.diff(stops[int(near[0])].line[-2:], axis=0)[0], traffic_light()
+            else:
+                towards = shapely.get_coordinates(shapely.shortest_line(island.centroid, island.boundary))
+                way, make = towards[0] - towards[-1], posts.sign(rng)
+            parts.append(move(make, foot_at(ground, place), float(np.arctan2(way[1], way[0]))))
+        inner = island.buffer(-_INSET_M).boundary
+        if island.area >= _RAIL_M2:
+            for piece in ground.take_line(inner, 0.5 * THICK_M["railing"], at_kerb=True):
+                parts += fence(rng, "railing", piece, float(rng.uniform(*HEIGHT_M["railing"])), streets)
+            continue
+        for xy in shapely.get_coordinates(shapely.segmentize(inner, 1.5))[::2]:
+            if ground.free(xy[None], 0.1, at_kerb=True)[0] and ground.take(xy, _SPACE_M):
+                parts.append(move(posts.bollard(rng), foot_at(ground, xy)))
     return parts
 
 

@@ -15,7 +15,6 @@ from sim.geometry import Array
 from sim.mesh.solids import rings_of
 from sim.streams import Stream, random_generator
 from sim.world.roads.streets import Streets
-from sim.world.roads.terrain import CELL_M
 
 KERB_M, DROPPED_M = 0.12, 0.03
 """Height of a footway above the gutter, and where its kerb is dropped, m."""
@@ -73,13 +72,14 @@ def kerbs_of(streets: Streets, paved: shapely.Geometry, seed: int) -> Kerbs:
     kerbed = outline - level.buffer(0.01)
     ways = [lane for lane in streets.lanes if lane.kind in ("walk", "crossing", "rail") and not lane.beside_road]
     # Crossings of the network may end some metres before the edge of the carriageway.
-    openings = [_prolonged(lane.line).buffer(0.5 * lane.width, cap_style="flat") for lane in ways]
+    openings = [prolonged(lane.line, _AHEAD_M).buffer(0.5 * lane.width, cap_style="flat") for lane in ways]
     low = shapely.union_all([*openings, *_drives(kerbed, seed)])
     return Kerbs(kerbed - low, kerbed & low, shapely.union_all([level, streets.rail.boundary]))
 
 
-def _prolonged(line: Array) -> shapely.LineString:
-    first, last = (_AHEAD_M * way / np.hypot(*way) for way in (line[0] - line[1], line[-1] - line[-2]))
+def prolonged(line: Array, ahead_m: float) -> shapely.LineString:
+    """Return a (K, 2) line with a straight piece at both ends."""
+    first, last = (ahead_m * way / np.hypot(*way) for way in (line[0] - line[1], line[-1] - line[-2]))
     return shapely.LineString([line[0] + first, *line, line[-1] + last])
 
 
@@ -100,13 +100,10 @@ def _long(lines: shapely.Geometry, least_m: float) -> shapely.Geometry:
 
 
 def stones(streets: Streets, kerbs: Kerbs) -> shapely.Geometry:
-    """Return the polygon of kerb stones, with corners wherever their heights change."""
+    """Return the polygon of kerb stones."""
     line = kerbs.high | kerbs.dropped
     around = (line.buffer(STONE_M, quad_segs=2) & shapely.box(*streets.window)) - streets.road
-    ramps = kerbs.ramps
-    return shapely.MultiPolygon(
-        rings_of(shapely.segmentize(around - ramps, CELL_M)) + rings_of(shapely.segmentize(around & ramps, RAMP_STEP_M))
-    )
+    return shapely.MultiPolygon(rings_of(around))
 
 
 def _distance(line: shapely.Geometry, xy: Array) -> Array:

@@ -70,6 +70,7 @@ class Streets:
         bays: polygon of parking bays, a part of the road.
         land: height field beside the carriageways, on the triangles of `terrain`; None where no kerb raises it.
         kerbs: polygon of the stones between both.
+        islands: polygon of islands in junctions, no part of the road.
     """
 
     area: Area
@@ -82,6 +83,7 @@ class Streets:
     bays: shapely.Geometry = NOTHING
     land: Terrain | None = None
     kerbs: shapely.Geometry = NOTHING
+    islands: shapely.Geometry = NOTHING
 
     def height(self, xy: Array) -> Array:
         """Return (N,) height of the road or the land at (N, 2) positions."""

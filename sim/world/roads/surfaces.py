@@ -3,6 +3,7 @@
 import shapely
 
 from sim.mesh.solids import MeshPart, carpet, mesh_part, rings_of, slab
+from sim.world.roads.kerbs import RAMP_STEP_M
 from sim.world.roads.streets import Streets
 
 GROUND_BELOW_M = 0.05
@@ -26,7 +27,8 @@ def surfaces(streets: Streets) -> list[MeshPart]:
         kerbs = slab(streets.terrain.follow(_kerbs(streets)), height, _KERB_HEIGHT_M, "kerb", "kerb", GROUND_BELOW_M)
     else:
         beside, footway = streets.land.height, walk - streets.kerbs
-        kerbs = slab(streets.kerbs, beside, 0.0, "kerb", "kerb", GROUND_BELOW_M, cut(streets.kerbs), height)
+        sides = shapely.segmentize(streets.kerbs, RAMP_STEP_M)
+        kerbs = slab(sides, beside, 0.0, "kerb", "kerb", GROUND_BELOW_M, cut(streets.kerbs), height)
     return [
         carpet(cut(streets.road), height, 0.0, "asphalt"),
         carpet(cut(footway), beside, 0.0, "pavement"),
@@ -46,6 +48,8 @@ def pavement(streets: Streets) -> shapely.Geometry:
     ]
     strips.append(streets.bays.buffer(_PAVEMENT_WIDTH_M, join_style="mitre"))
     around = shapely.unary_union(strips).buffer(0.2).buffer(-0.2) & shapely.box(*streets.window)
+    if not streets.islands.is_empty:
+        around |= streets.islands
     return ((around | streets.walk) - streets.road - streets.rail).simplify(0.05).buffer(0)
 
 
@@ -92,15 +96,18 @@ def ground(streets: Streets, walk: shapely.Geometry) -> list[MeshPart]:
     terrain, land = streets.terrain, streets.land
     if land is None:
         return [mesh_part(terrain.nodes - [0.0, 0.0, GROUND_BELOW_M], terrain.faces, "ground")]
+    shapely.prepare(streets.road)
+    triangles = shapely.polygons(terrain.nodes[terrain.faces, :2])
+    under_road = shapely.intersects(streets.road, triangles)
+    stepped = under_road & (land.nodes[land.faces, 2] - terrain.nodes[terrain.faces, 2] > 1e-9).any(axis=1)
+    # A triangle below a kerb is low as the gutter; what it has behind a narrow footway is high.
     covered = shapely.union_all([streets.road, streets.rail, walk, streets.kerbs])
     shapely.prepare(covered)
-    triangles = shapely.polygons(terrain.nodes[terrain.faces, :2])
-    below, within = shapely.intersects(covered, triangles), shapely.contains(covered, triangles)
-    edge = shapely.MultiPolygon(
-        rings_of(shapely.geometrycollections(shapely.difference(triangles[below & ~within], covered)))
-    )
+    behind = shapely.difference(triangles[stepped][~shapely.covers(covered, triangles[stepped])], covered)
     return [
-        mesh_part(land.nodes - [0.0, 0.0, GROUND_BELOW_M], land.faces[~below], "ground"),
-        carpet(edge, land.height, -GROUND_BELOW_M, "ground"),
-        mesh_part(terrain.nodes - [0.0, 0.0, 2.0 * GROUND_BELOW_M], terrain.faces[below], "ground"),
+        mesh_part(land.nodes - [0.0, 0.0, GROUND_BELOW_M], land.faces[~stepped], "ground"),
+        carpet(
+            shapely.MultiPolygon(rings_of(shapely.geometrycollections(behind))), land.height, -GROUND_BELOW_M, "ground"
+        ),
+        mesh_part(terrain.nodes - [0.0, 0.0, 2.0 * GROUND_BELOW_M], terrain.faces[stepped], "ground"),
     ]
