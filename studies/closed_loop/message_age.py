@@ -118,7 +118,10 @@ def near(boxes: Boxes) -> np.ndarray:
 
 
 def table(rows: list[dict[str, str]]) -> Iterator[tuple[str, ...]]:
-    """Yield the lines of the table: each with its 95 % intervals."""
+    """Yield the lines of the table, over the episodes that all of them have: each with its 95 % intervals."""
+    driven = [(row["scenario"], row["seed"]) for row in rows]
+    whole = {one for one in driven if driven.count(one) == len(KINDS) * len(DELAYS_S) - 1}  # nothing is stale at once
+    rows = [row for row in rows if (row["scenario"], row["seed"]) in whole]
     for kind, delay_s in product(KINDS, DELAYS_S):
         own = [row for row in rows if (row["kind"], row["delay_s"]) == (kind, str(delay_s))]
         if not own:
