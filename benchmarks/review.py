@@ -368,6 +368,7 @@ _WHAT = {
     "first_picture_server_cpu_s": "CPU time of dsrc view until then",
     "first_picture_browser_cpu_s": "CPU time of the browser, which draws in software, until then",
     "detector_first_picture_s": "the same with a detector",
+    "detector_first_picture_server_cpu_s": "CPU time of dsrc view until then",
     "points_s": "the same until its points are in the browser's scene",
     "server_s": "the same until its address answers",
     "stream_step_ms": "CPU time of the server for a step that is sent to a browser",

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -67,3 +68,16 @@ def command_of(text: str) -> list[str]:
 def is_there(text: str) -> bool:
     """Whether a detector can be opened as far as the disk knows: a file that exists, or no file at all."""
     return kind_of(text) not in ("file", "onnx") or Path(text).is_file()
+
+
+def named(texts: Sequence[str]) -> list[tuple[str, str]]:
+    """Names and detectors or folders: the name of `name=text`, else its stem, after its folder where stems repeat."""
+    split = [split_name(text) for text in texts]
+    stems = [stem_of(text) for name, text in split if not name]
+
+    def name_of(text: str) -> str:
+        stem = stem_of(text)
+        in_folder = stems.count(stem) > 1 and kind_of(text) in ("file", "onnx")
+        return f"{Path(text).absolute().parent.name}/{stem}" if in_folder else stem
+
+    return [(name or name_of(text), text) for name, text in split]

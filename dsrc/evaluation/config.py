@@ -49,7 +49,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from dsrc.detectors.levelled import check_height
-from dsrc.detectors.texts import NO_COMMAND, is_there, kind_of, split_name, stem_of
+from dsrc.detectors.texts import NO_COMMAND, is_there, kind_of, named, split_name
 from dsrc.faults.condition import faults_of, frame_condition, settled
 from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions, Comparison
@@ -269,19 +269,6 @@ def _grouped(field: str, texts: Sequence[str]) -> dict[str, list[str]]:
             raise SettingsError(complaint("benchmark", field, "names that differ", f"{name} for {path} too", hint))
         groups.setdefault(name, []).append(path)
     return groups
-
-
-def named(texts: Sequence[str]) -> list[tuple[str, str]]:
-    """Names and detectors or folders: the name of `name=text`, else its stem, after its folder where stems repeat."""
-    split = [split_name(text) for text in texts]
-    stems = [stem_of(text) for name, text in split if not name]
-
-    def name_of(text: str) -> str:
-        stem = stem_of(text)
-        in_folder = stems.count(stem) > 1 and kind_of(text) in ("file", "onnx")
-        return f"{Path(text).absolute().parent.name}/{stem}" if in_folder else stem
-
-    return [(name or name_of(text), text) for name, text in split]
 
 
 def check(plan: Benchmark, where: str) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from dsrc.data.drives import open_drives
 from dsrc.detectors.levelled import height_in_use
+from dsrc.detectors.texts import named
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.causes.results import write_causes
-from dsrc.evaluation.config import Benchmark, DatasetSpec, DifferenceSpec, MethodSpec, check, named
+from dsrc.evaluation.config import Benchmark, DatasetSpec, DifferenceSpec, MethodSpec, check
 from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.figures.bars import corruption_bars
 from dsrc.evaluation.figures.curves import precision_recall_curves, reliability_curves

@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from dsrc.detectors.levelled import height_in_use
+from dsrc.detectors.texts import named
 from dsrc.evaluation.cache import read_cell
-from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
+from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check
 from dsrc.evaluation.report.report import provenance_of, stored_index, write_results
 from dsrc.evaluation.results import CLEAN, Row
 from dsrc.evaluation.runner import BenchmarkResult, run_plan

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import open_drives
 from dsrc.detectors.levelled import height_in_use
+from dsrc.detectors.texts import named
 from dsrc.evaluation.cache import read_cell
-from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, named
+from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check
 from dsrc.evaluation.detect import MethodResult, join_results
 from dsrc.evaluation.metrics.intervals import (
     Interval,

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from sensors.compiled import compiled
 
@@ -77,6 +76,8 @@ def fit_ground(points: NDArray[np.floating], reach_m: float = REACH_M) -> Ground
     if not ground.any():
         return Ground(np.zeros((side, side)), np.zeros((side, side), bool))
     heights, weight = _smoothed(lowest, ground, _SMOOTH_M[0])
+    from scipy.ndimage import distance_transform_edt  # a third of a second, and few processes fit a ground
+
     known = weight > _LEAST_WEIGHT[0]
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
     heights = heights[tuple(nearest)]
@@ -89,6 +90,8 @@ def _smoothed(
     heights: NDArray[np.float64], chosen: NDArray[np.bool_], sigma_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the (n, n) smoothed heights of the chosen cells, and the share of chosen cells that they come from."""
+    from scipy.ndimage import gaussian_filter
+
     weight = gaussian_filter(chosen.astype(np.float64), sigma_m / CELL_M)
     return gaussian_filter(np.where(chosen, heights, 0.0), sigma_m / CELL_M) / np.maximum(weight, 1e-9), weight
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from dsrc.data.clouds.columns import has_return
 from dsrc.data.clouds.intensity import Intensities, Scale, from_unit, to_unit
@@ -168,6 +167,8 @@ def beams_of(points: NDArray[np.floating], spec: LidarSpec) -> NDArray[np.int64]
     except DataError:
         elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
         return np.abs(elevation[:, None] - spec.elevation).argmin(axis=1)
+    from scipy.optimize import linear_sum_assignment  # half a second, and few clouds lack a beam
+
     # The best matching of sorted elevations keeps their order.
     _, beam = linear_sum_assignment(np.abs(found.elevation[:, None] - spec.elevation))
     return np.asarray(beam, np.int64)[found.ring]

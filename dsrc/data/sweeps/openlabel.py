@@ -26,7 +26,6 @@ from typing import NamedTuple, Self
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from dsrc.data.jsonio import read_json
 from dsrc.data.sweeps.layout import FARTHEST_M, IGNORED, BoxRows, Labels, Layout, poses_of
@@ -356,6 +355,8 @@ def _box(file: Path, place: str, val: list[float]) -> list[float]:
         expected = "x, y, z, a quaternion qx, qy, qz, qw or angles rx, ry, rz, and three sizes"
         raise DataError(complaint(file, place, expected, f"{len(val)} numbers"))
     if len(val) == _EULER:
+        from scipy.spatial.transform import Rotation  # a third of a second, and few trees are OpenLABEL's
+
         turn = Rotation.from_euler("xyz", val[3:6]).as_matrix()
     else:
         x, y, z, w = val[3:7]

@@ -9,7 +9,7 @@ from pathlib import Path
 from dsrc.data.drives import open_drives
 from dsrc.data.formats.kitti_labels import list_labels
 from dsrc.data.sample import DetectorSettings, Sample, SampleDetector
-from dsrc.evaluation.config import named
+from dsrc.detectors.texts import named
 from dsrc.evaluation.sharing.stored import FILE as SHARES
 from dsrc.evaluation.stored import FILE, has_index
 from dsrc.ops.detections import Detections

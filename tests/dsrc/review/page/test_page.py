@@ -2,6 +2,8 @@
 
 import logging
 import socket
+import subprocess
+import sys
 import time
 import urllib.error
 import urllib.request
@@ -296,3 +298,10 @@ def test_a_connection_that_a_browser_opens_ahead_and_drops_is_not_told(
         assert answer.status == 200
     time.sleep(0.5)
     assert not caplog.messages
+
+
+def test_a_page_without_a_detector_imports_nothing_heavy_before_it_is_served() -> None:
+    heavy = "{'torch', 'trimesh', 'scipy.optimize', 'scipy.ndimage'}"
+    code = f"import sys, dsrc.review.page.app; print(*{heavy} & set(sys.modules))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "", found.stdout
