@@ -1,6 +1,6 @@
 """A driver in a process of its own, over a pipe or a port.
 
-Copy `serve` into a policy's environment; it needs numpy. `dsrc.closed_loop.driving.process` says what is sent.
+Copy `serve` into a policy's environment; it needs numpy. `dsrc.closed_loop.driving.own.process` says what is sent.
 
 Usage:
     python examples/13_driver_process.py --test

@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 
 from dsrc.closed_loop.driving.bicycle import bicycle_step
-from dsrc.closed_loop.driving.checked import CheckedDriver
 from dsrc.closed_loop.driving.lanes import lanes_of
+from dsrc.closed_loop.driving.own.checked import CheckedDriver
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import choose_ego, ego_state, without_ego
 from dsrc.closed_loop.ego_faults import EgoFaults

@@ -7,8 +7,8 @@ themselves. What its driver would have decided is in the ticks.
 import msgspec
 import numpy as np
 
-from dsrc.closed_loop.driving.checked import CheckedDriver
 from dsrc.closed_loop.driving.lanes import lanes_of
+from dsrc.closed_loop.driving.own.checked import CheckedDriver
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.ego import without_ego
 from dsrc.closed_loop.ego_faults import EgoFaults

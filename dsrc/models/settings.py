@@ -51,7 +51,7 @@ class ModelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         own_frame: each agent's cloud is encoded in its own frame, as by an agent that broadcasts its features; the
             receiver warps the maps. Else clouds are brought to the ego's frame first.
         drop_lone_points: each agent drops points with few neighbours before detection, as flakes are; inference only,
-            see `dsrc.data.lone_points`.
+            see `dsrc.models.inputs.lone_points`.
         align_poses: poses of the collaborators are corrected by an agent-object pose graph before detection, which
             takes another run of the network on each agent's cloud alone.
         compress: ratio by which the channels of a sent map are reduced, see `Compressor`.

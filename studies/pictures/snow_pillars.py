@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from torch import nn
 
 from dsrc.data.drives import open_drives
-from dsrc.data.lone_points import without_lone_points
 from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample, make_sample
 from dsrc.evaluation.metrics.matching import match
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import collate, pillars_of
+from dsrc.models.inputs.lone_points import without_lone_points
 from dsrc.models.storage.checkpoint import load_detector
 from dsrc.ops.grid import GridSpec
 from dsrc.ops.iou import bev_iou

@@ -13,7 +13,7 @@ import msgspec
 from msgspec.structs import replace
 
 from dsrc.closed_loop.driving.open import open_driver
-from dsrc.closed_loop.driving.process import ProcessDriver
+from dsrc.closed_loop.driving.own.process import ProcessDriver
 from dsrc.closed_loop.encounter import conflict_class
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings

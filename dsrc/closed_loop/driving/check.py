@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.driving.checked import CheckedDriver
 from dsrc.closed_loop.driving.open import open_driver
-from dsrc.closed_loop.driving.process import ProcessDriver
+from dsrc.closed_loop.driving.own.checked import CheckedDriver
+from dsrc.closed_loop.driving.own.process import ProcessDriver
 from dsrc.closed_loop.seen_space import SeenSpace, View
 from dsrc.closed_loop.types import ConflictLane, Decision, EgoState, LaneMap, Percept, Tracks
 from sim.boxes import Boxes

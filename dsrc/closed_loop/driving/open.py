@@ -6,8 +6,8 @@ from typing import cast
 from dsrc.closed_loop.driving.anticipating import AnticipatingDriver
 from dsrc.closed_loop.driving.careful import CarefulDriver
 from dsrc.closed_loop.driving.evading import EvadingDriver
+from dsrc.closed_loop.driving.own.process import START_S, ProcessDriver
 from dsrc.closed_loop.driving.planner import PlanningDriver
-from dsrc.closed_loop.driving.process import START_S, ProcessDriver
 from dsrc.closed_loop.types import Driver
 from dsrc.detectors.classes import class_hash, load_own
 from dsrc.detectors.line import process_sha256
@@ -30,7 +30,7 @@ def open_driver(text: str, answer_s: float = 60.0) -> Driver:
     Args:
         text: `planning`, `anticipating`, `evading`, `careful`, `module:Class` of one's own with `reset(lanes)` and
             `decide(ego, tracks)`, made without arguments, `pipe:COMMAND ...` or `tcp://localhost:PORT`, see
-            `dsrc.closed_loop.driving.process`. Modules of the current folder are found.
+            `dsrc.closed_loop.driving.own.process`. Modules of the current folder are found.
         answer_s: longest time to an answer of a process, s.
 
     Raises:

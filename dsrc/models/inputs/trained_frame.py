@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.level import joined, level, raised
-from dsrc.data.lone_points import without_lone_points
 from dsrc.data.sample import Sample, inside
+from dsrc.models.inputs.lone_points import without_lone_points
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.detections import Detections
 from sim.boxes import Boxes

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace as changed
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.driving.checked import CheckedDriver
+from dsrc.closed_loop.driving.own.checked import CheckedDriver
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.seen_space import LOW_M, SeenSpace, View

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsrc.data.lone_points import LEAST_M, NEIGHBOURS, STEP_RAD, STEPS, lone_points, without_lone_points
 from dsrc.data.sample import make_sample
 from dsrc.detectors.open import open_detector
 from dsrc.evaluation.evaluate import plan_of_evaluation
+from dsrc.models.inputs.lone_points import LEAST_M, NEIGHBOURS, STEP_RAD, STEPS, lone_points, without_lone_points
 from dsrc.models.inputs.trained_frame import prepared
 from dsrc.models.teams import team_detections
 from dsrc.options.detection import Evaluation

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.driving.open import driver_sha256, open_driver
-from dsrc.closed_loop.driving.process import ProcessDriver
+from dsrc.closed_loop.driving.own.process import ProcessDriver
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Outcome

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from dsrc.closed_loop.driving.checked import CheckedDriver
+from dsrc.closed_loop.driving.own.checked import CheckedDriver
 
 
 class Leaving:
