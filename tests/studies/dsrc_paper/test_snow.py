@@ -4,6 +4,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from dsrc.evaluation.evaluate import evaluate_drives
 from dsrc.evaluation.results import CLEAN, find_row
@@ -16,6 +17,7 @@ from tests.dsrc.evaluation.small import write_detector, write_drives
 from tests.sensors.corruptions.frames import frame
 
 
+@pytest.mark.slow
 def test_lines_are_those_of_an_evaluation_and_a_second_run_has_them_all(tmp_path: Path) -> None:
     drives, detector = write_drives(tmp_path / "data"), write_detector(tmp_path / "detector.pt", "attfuse")
     arguments = ("--data", str(drives), "--out", str(tmp_path / "out"), "--checkpoint", str(detector))
