@@ -115,7 +115,7 @@ def test_names_are_listed_as_options_take_them(things: str) -> None:
         (["dataset", "co"], ["convert"]),
         (["generate", "four"], ["four_way"]),
         (["evaluate", "data", "--corruption", "fog", "sn"], ["snow"]),
-        (["evaluate", "data", "--corruption", "fog", "--fa"], ["--family"]),
+        (["evaluate", "data", "--corruption", "fog", "--fam"], ["--family"]),
         (["generate", "four_way", "--out", ""], []),
     ],
 )

@@ -89,15 +89,15 @@ def evaluate_drive(
     own_seed = drive_seed(seed, name)
     read = lru_cache(maxsize=3)(reader.read)
     records = {(condition, method.name): _Record() for condition, methods in work.items() for method in methods}
-    receivers: dict[str, Receiver] = {}
+    receivers: dict[tuple[Condition, str], Receiver] = {}
     ego_id = ego_of(read(positions[0]))
     for condition, methods in work.items():
         for method in methods:
-            if method.channel is not None and method.receives and method.name not in receivers:
+            if method.channel is not None and method.receives:
                 settings = method.detector.settings
                 spec, step_s = method.channel, interval_of(reader)
                 faulted = radio_faults(faults_of(condition), spec, step_s, ego_id)
-                receivers[method.name] = Receiver(spec, own_seed, step_s, settings, faulted=faulted)
+                receivers[condition, method.name] = Receiver(spec, own_seed, step_s, settings, faulted=faulted)
     for i in positions:
         recorded = FrameHistory(read, i)
         for condition, methods in work.items():
@@ -108,9 +108,9 @@ def evaluate_drive(
             for method in methods:
                 sample, record = _sample(frames, method, samples, name), records[condition, method.name]
                 whole = _sample(frames, replace(method, agents=None), samples, name)
-                if method.name in receivers:
+                if (condition, method.name) in receivers:
                     grid = method.detector.settings.request.grid
-                    sample, links = receivers[method.name].receive(past, i, sample, grid)
+                    sample, links = receivers[condition, method.name].receive(past, i, sample, grid)
                     record.traffic.append(_traffic(links))
                 start = time.perf_counter()
                 found = method.detector.detect(sample)

@@ -63,7 +63,7 @@ def radio_faults(
     def sent_with(index: int, sender: int) -> ChannelSpec:
         changed = spec
         for fault in acting:
-            if fault.at((index - 1) * interval_s) and fault.on(sender, ego_id):
+            if (fault.always or fault.at((index - 1) * interval_s)) and fault.on(sender, ego_id):
                 changed = changed_spec(changed, fault.radio)
         return changed
 

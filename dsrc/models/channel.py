@@ -97,22 +97,27 @@ class Receiver:
         )
         return received, links
 
-    def arrived(self, frames: Sequence[Frame], position: int, sender: int, ego: int, after: int) -> list[int]:
+    def arrived(self, frames: Sequence[Frame], position: int, sender: int, ego: int) -> list[int]:
         """Return the numbers of the instants whose message of a sender has arrived by now, in their order.
 
-        Args:
-            frames, position: see `receive`.
-            after: instants up to this one are left out.
+        `frames` and `position` as in `receive`.
         """
         snapshots = _Snapshots(frames, position, self.payload)
+        longest_s = self.channel.sent_with(position, sender).longest_age_s
         found = []
-        for age in range(min(position - after, len(frames)) - 1, -1, -1):
-            ids = snapshots[age].agent_ids
+        for age in range(len(frames) - 1, -1, -1):
+            ids, age_s = snapshots[age].agent_ids, age * self.channel.interval_s
+            if longest_s is not None and age_s > longest_s + 1e-9:
+                continue
             if sender in ids and ego in ids:
                 link = self.channel.link(snapshots[age], sender, ego)
-                if link.received and link.delay_s <= age * self.channel.interval_s + 1e-9:
+                if link.received and link.delay_s <= age_s + 1e-9:
                     found.append(position - age)
         return found
+
+    def held(self, frames: Sequence[Frame], position: int, sender: int, ego: int) -> bool:
+        """Whether a sender may send nothing now; `frames` and `position` as in `receive`."""
+        return self.channel.link(_Snapshots(frames, position, self.payload)[0], sender, ego).held
 
     def _lost_tiles(self, link: Link, grid: GridSpec) -> NDArray[np.bool_]:
         """Return the lost tiles of the sender's features; lists of boxes and clouds have no tiles."""

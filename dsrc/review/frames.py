@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
-from dsrc.faults.condition import condition_of
+from dsrc.faults.condition import Faulted, condition_of
 from dsrc.review.sources.base import DriveSource, Setup, Source
 from dsrc.review.sources.detected import corrupted_frame
 from dsrc.review.sources.history import DriveHistory
@@ -100,9 +100,10 @@ class FrameStore:
         frame = self.recorded(row)
         if condition.kind == CLEAN or not any(len(agent.sweep) for agent in frame.agents):
             return frame
-        # Few corruptions and choices of agents know an ego; the others are the same for all.
+        # Few corruptions and choices of agents know an ego, and some faults; the others are the same for all.
         known = CORRUPTIONS.get(condition.kind)
         of_ego = condition.agents in ("ego", "helpers") or (known is not None and known.spares_ego)
+        of_ego |= isinstance(condition, Faulted)
         ego = ego_id if of_ego else None
         return self._corrupted.get(
             (self.version, row, condition, ego),

@@ -96,6 +96,7 @@ class CpmSender:
         self._tracker = Tracker()
         self._told: dict[int, _Told] = {}
         self._sent_s = -np.inf
+        self._before = self._told, self._sent_s
 
     def message(self, detected: Objects, time_s: float) -> Cpm | None:
         """Return the message of an instant, None where none is made; instants come in their order.
@@ -110,12 +111,17 @@ class CpmSender:
         if not due.any() and time_s - self._sent_s < LONGEST_S - _SLACK_S:
             return None
         told = tracks[due]
+        self._before = dict(self._told), self._sent_s
         for number, xy, velocity in zip(
             told.boxes.object_id.tolist(), told.boxes.center[:, :2], told.velocity, strict=True
         ):
             self._told[number] = _Told(time_s, xy, velocity)
         self._sent_s = time_s
         return Cpm(round(time_s, 3), *quantised(told))
+
+    def withdraw(self) -> None:
+        """Take the last message back, which the channel did not let out: its objects are yet to be told."""
+        self._told, self._sent_s = self._before
 
     def _due(self, tracks: Tracks, time_s: float) -> np.ndarray:
         """Return (N,) which tracks are told now."""
@@ -147,13 +153,14 @@ class CpmPicture:
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[float, Cpm, int]] = {}
-        self.newest = 0
-        """Number of the newest instant whose message was taken in."""
+        self.heard: set[int] = set()
+        """Numbers of the instants whose messages were taken in."""
 
     def hear(self, message: Cpm) -> None:
-        """Take in a message; those of a sender come in their order."""
+        """Take in a message; one that others have overtaken tells only what they did not."""
         for row, number in enumerate(message.objects.boxes.object_id.tolist()):
-            self._known[number] = message.time_s, message, row
+            if number not in self._known or self._known[number][0] < message.time_s:
+                self._known[number] = message.time_s, message, row
 
     def objects(self, time_s: float) -> Objects:
         """Return the objects moved to the present by their stated motion."""

@@ -49,11 +49,15 @@ class CpmPerception(DetectorPerception):
             parts = self.detector.detect_each(sample)  # type: ignore[attr-defined]  # see `reset`
         own, *told = (as_objects(part, self._world_from_sample(sample)) for part in parts)
         self._own: Objects = own
-        self._messages[self.senses.index] = {
+        made = self._messages[self.senses.index] = {
             agent: self._senders.setdefault(agent, CpmSender()).message(one, frame.time_s)
             for agent, one in zip(sample.agent_ids[1:], told, strict=True)
         }
         self._messages.pop(self.senses.index - MAX_AGE - 1, None)
+        for agent, message in made.items():
+            if message is not None and self._receiver.held(self._past, self.senses.index, agent, self._ego_id):
+                self._senders[agent].withdraw()
+                made[agent] = None
         return frame
 
     def _bytes(self, frame: Frame, row: int) -> int:
@@ -65,10 +69,9 @@ class CpmPerception(DetectorPerception):
         parts = [as_detections(self._own, world_from_sample)]
         for link in links:
             picture = self._pictures.setdefault(link.sender, CpmPicture())
-            for number in self._receiver.arrived(
-                self._past, self.senses.index, link.sender, self._ego_id, picture.newest
-            ):
-                picture.newest = number
+            arrived = self._receiver.arrived(self._past, self.senses.index, link.sender, self._ego_id)
+            for number in set(arrived) - picture.heard:
+                picture.heard.add(number)
                 if (message := self._messages.get(number, {}).get(link.sender)) is not None:
                     picture.hear(self._believed(message, link.sender, number))
             parts.append(as_detections(picture.objects(now.time_s), world_from_sample))

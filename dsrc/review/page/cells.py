@@ -177,7 +177,8 @@ const title=link=>{const q=new URLSearchParams(link),k=q.get('corruption')||'cle
  if(links.some(one=>drive(one)!==drive(links[0])))parts.push('drive '+drive(link));
  if(q.get('methods'))parts.push(q.get('methods').split('|').map(decodeURIComponent).join(', '));
  if(q.get('cooperative')==='0')parts.push('ego alone');
- parts.push(k==='clean'?k:k.replaceAll('_',' ')+' '+(q.get('severity')||3));return parts.join(' \\u00b7 ');};
+ parts.push(k==='clean'||k.includes(':')?k:k.replaceAll('_',' ')+' '+(q.get('severity')||3));
+ return parts.join(' \\u00b7 ');};
 const frames=links.map((link,number)=>{
  const cell=document.createElement('section'),frame=document.createElement('iframe');
  frame.id='cell'+number;frame.src='./?'+[link,'fixedDpr=1','pair='+pair+'.'+number].filter(Boolean).join('&');

@@ -149,7 +149,7 @@ def _corruptible(shown: Shown) -> dict[str, Any]:
 
 
 def _corrupted(shown: Shown) -> bool:
-    return shown.state.corruption != CLEAN
+    return shown.state.corruption in CORRUPTIONS
 
 
 def _detects(shown: Shown) -> bool:

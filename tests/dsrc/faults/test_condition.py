@@ -29,7 +29,9 @@ def test_a_corruption_or_a_radio_fault_decides_what_its_older_spelling_decides()
     some = frame_condition("loss:0.3 on 1003", "evaluate")
     assert some.decisive() != Condition().decisive(), "the channel cannot say it"
     sent_with = radio_faults(faults_of(some), PRESETS["ideal"], 0.1, ego_id=1001)
-    assert [sent_with(7, sender).packet_loss for sender in (1002, 1003)] == [0.0, 0.3]
+    # Frames of a drive are counted from 0.
+    assert [sent_with(index, 1003).packet_loss for index in (0, 7)] == [0.3, 0.3]
+    assert sent_with(7, 1002).packet_loss == 0.0
 
 
 def test_a_fault_is_read_again_from_its_kind_and_a_corruption_is_none() -> None:

@@ -190,6 +190,8 @@ def _recorded(
     writer = SceneWriter(server.scene, ROOT, POINT_STEP_M)
     root = server.scene.add_frame(ROOT, show_axes=False, position=_NEARLY[:3, 3])
     views, texts = [], []
+    with using_model:
+        _explain(model, drive)
     for state in states:
         with using_model:
             views.append(model.view(state))
@@ -239,6 +241,13 @@ def _gallery(model: ReviewModel, state: ReviewState, using_model: AbstractContex
     return gallery_html(made, [""] * len(made)) if made else ""
 
 
+def _explain(model: ReviewModel, drive: int) -> None:
+    """Let a log of an episode find its cause and cast its sweeps, which the page does behind its first picture."""
+    explain, met = getattr(model.sources[drive], "explain", None), model.meeting(drive)
+    if met is not None and explain is not None and not met.explained:
+        explain()
+
+
 def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool) -> dict[str, str]:
     """Texts of a frame; of a shared one card and plots, too."""
     texts = frame_texts(view, _subtitle(model, state))
@@ -246,9 +255,6 @@ def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool
         return texts
     words, line, met = [], model.timeline(state.drive), model.meeting(state.drive)
     if view.moment is not None and line is not None:
-        explain = getattr(model.sources[state.drive], "explain", None)
-        if met is not None and explain is not None and not met.explained:
-            explain()
         words += [f"**{quoted(met.why)}**"] if met is not None and met.why else []
         words.append(moment_report(view.moment, line, view.index))
     if view.details is not None:

@@ -40,6 +40,7 @@ from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.report.report import markdown, write_report
 from dsrc.closed_loop.report.terminal import comparison_table, summary_table
 from dsrc.detectors.texts import SHIPPED_DETECTOR
+from dsrc.models.storage.deploy import engine_for
 from dsrc.options.driving import DriveOptions
 from dsrc.runs.executors import Pool
 from sim.errors import DataError, SettingsError
@@ -343,7 +344,7 @@ def test_a_log_s_own_perception_looks_again_through_a_corruption(driven: Path, t
     short = EpisodeLog(settings, log.actors[0], log.ticks[:2], log.outcome).save(tmp_path / "log.npz")
     Drive(what=str(short), corruption=("fog",), out=tmp_path / "again").run()
     again = EpisodeLog.load(tmp_path / "again/again.npz").settings
-    assert again == replace(settings, corruption="fog", severity=3)
+    assert again == replace(settings, corruption="fog", severity=3, engine=engine_for(SHIPPED_DETECTOR))
 
 
 def test_a_perception_that_fails_at_once_is_a_row_and_its_message_is_shown(tmp_path: Path) -> None:

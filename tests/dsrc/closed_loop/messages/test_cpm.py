@@ -43,6 +43,27 @@ def test_a_parked_car_is_told_once_a_second_and_a_pedestrian_twice() -> None:
         np.testing.assert_allclose(np.diff(told)[1:], every_s, atol=1e-9)
 
 
+def test_what_the_channel_holds_back_is_told_with_the_next_message() -> None:
+    sender, held = CpmSender(), 0
+    for step in range(30):
+        message = sender.message(seen((10.0, 3.0, CAR)), 0.1 * step)
+        if step % 10 == 7:  # its turn
+            assert message is not None and len(message.objects) == 1
+        elif message is not None:
+            sender.withdraw()
+            held += 1
+    assert held == 7
+
+
+def test_a_message_that_was_overtaken_tells_nothing_older_than_what_is_known() -> None:
+    sender, picture = CpmSender(), CpmPicture()
+    messages = [sender.message(seen((15.0 * t, 0.0, CAR)), t) for t in np.arange(0.0, 2.05, 0.1)]
+    early, late = [message for message in messages if message is not None and len(message.objects)][-2:]
+    for message in (late, early):
+        picture.hear(message)
+    np.testing.assert_allclose(picture.objects(late.time_s).boxes.center[0], late.objects.boxes.center[0])
+
+
 def test_a_steady_car_is_told_whenever_it_has_moved_more_than_4_m() -> None:
     told = told_at(lambda t: (15.0 * t, 0.0), np.arange(0.0, 6.05, 0.1))
     settled = np.diff([time_s for time_s in told if time_s > 3.0])

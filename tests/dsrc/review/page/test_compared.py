@@ -48,7 +48,7 @@ def test_the_list_is_of_the_methods_that_are_left(session: Session, fake_fog: li
     lay_over(session)
     session.update(error_method="blind")
     session.wait_drawn()
-    wait_for(lambda: len(errors.plot.data) == 3)
+    wait_for(lambda: "blind" in errors.scores.content)
     lay_over(session)
     session.wait_drawn()
     wait_for(lambda: "detector" in errors.scores.content)
