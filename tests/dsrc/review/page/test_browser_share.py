@@ -27,7 +27,9 @@ pytestmark = [
 
 LINK = "frame=2&object=1005&gallery=1&score=0.7"
 BUTTON = "[...document.querySelectorAll('button')].find(e=>e.innerText==='__NAME__')"
-WORDS = """[...document.querySelectorAll('__WHERE__ svg text')].map(e=>e.textContent).filter(e=>e).sort().join('|')"""
+WORDS = """[...document.querySelectorAll('__WHERE__ svg text')].map(e=>e.textContent)
+.filter(e=>e&&!/^(precision over recall|scores of hits)/.test(e)).sort().join('|')"""
+"""Texts of the plots over time; those of scores are of the run, not of the selection."""
 SENTENCES = "[...document.querySelectorAll('__WHERE__ a[title]')].map(e=>e.title)"
 
 
