@@ -47,7 +47,7 @@ class Link:
         sight: obstruction between them then.
         probability: reception probability of a packet, without collisions.
         load: channel busy ratio.
-        held: whether the sender sends nothing now: its turn comes later, since the channel is full.
+        held: whether the sender sends nothing now: it has nothing to say, or its turn comes later in a full channel.
         offered: size of the message that the sender has now; None for that of this one.
     """
 
@@ -87,7 +87,7 @@ class RadioSnapshot:
         index: number of the instant.
         agent_ids: (A,) ids.
         antenna: (A, 3) positions of the antennas in the world, m.
-        bytes: (A,) payload size of each.
+        bytes: (A,) payload size of each; one with 0 sends nothing.
         sight: (A, A) `Obstruction` between them.
     """
 
@@ -160,7 +160,7 @@ class Channel:
             )
         if spec.message_hz is not None:
             stride = max(stride, math.ceil(1.0 / (spec.message_hz * self.interval_s) - 1e-9))
-        held = instant.index % stride != self._phase(sender, stride)
+        held = not instant.bytes[rows[0]] or instant.index % stride != self._phase(sender, stride)
         if held or distance > spec.range_m:
             arrived = np.zeros(packets, bool)
         received = float(arrived.mean()) >= LEAST_SHARE
@@ -209,7 +209,7 @@ class Channel:
         return self.spec.clock_error_s * float(self._rng(Stream.RADIO_CLOCK, agent_id).standard_normal())
 
     def _on_air(self, size: int) -> int:
-        return self.spec.message_bytes if self.spec.message_bytes is not None else int(size)
+        return self.spec.message_bytes if size and self.spec.message_bytes is not None else int(size)
 
     def _load(self, instant: RadioSnapshot, row: int) -> tuple[float, int, float]:
         """Return channel load around an agent, stride of its instants, and airtime of the others, s."""
@@ -217,7 +217,7 @@ class Channel:
             return 0.0, 1, 0.0
         near = np.linalg.norm(instant.antenna - instant.antenna[row], axis=1) <= HEARING_M
         sizes = [self._on_air(size) for size in instant.bytes]
-        air = np.array([message_airtime_s(self.spec, size) for size in sizes])
+        air = np.array([message_airtime_s(self.spec, size) if size else 0.0 for size in sizes])
         total = float(air[near].sum())
         pause = dcc_gate_s(total / self.interval_s) if self.spec.congestion_control else 0.0
         stride = max(1, math.ceil(max(pause, total) / self.interval_s - 1e-9))

@@ -40,6 +40,13 @@ def test_messages_are_smaller_than_those_of_all_boxes_and_tell_of_the_same_objec
     assert np.isnan(last.velocity).all() and (last.boxes.object_id == -1).all()
 
 
+def test_an_instant_without_a_message_is_not_one_that_was_received(loop: ClosedLoop) -> None:
+    links = [link for found in percepts(loop, "cpm", "ideal") for link in found.links]
+    silent = [link for link in links if link.bytes_now == 0]
+    assert silent and all(link.age_s > 0.0 for link in silent if link.received)
+    assert {link.age_s for link in links if link.bytes_now} == {0.0}
+
+
 def test_without_a_message_the_ego_is_alone_and_two_runs_are_the_same(loop: ClosedLoop) -> None:
     silent, alone = percepts(loop, "cpm", "ideal,loss=1"), percepts(loop, "ego", "ideal")
     assert [len(one.boxes) for one in silent] == [len(one.boxes) for one in alone]
