@@ -273,6 +273,8 @@ class ClosedLoop:
     def act(self, acceleration_mps2: float | None = None, steering_rad: float | None = None) -> None:
         """Command the ego for the next traffic step, see `advance`; `arrive` follows that step."""
         last = self._running()
+        if acceleration_mps2 is None and steering_rad is not None:
+            raise ValueError(f"steering_rad comes with acceleration_mps2, got {steering_rad} alone")
         if acceleration_mps2 is not None:
             for name, value in (("acceleration_mps2", acceleration_mps2), ("steering_rad", steering_rad or 0.0)):
                 if not math.isfinite(value):

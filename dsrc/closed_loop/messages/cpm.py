@@ -25,6 +25,8 @@ from sim.boxes import CLASSES, Boxes
 from sim.geometry import Array, wrap_angle
 from sim.radio import cpm_bytes
 
+SHORTEST_S = 0.1
+"""`T_GenCpmMin`: shortest time between two messages, s."""
 LONGEST_S = 1.0
 """`T_GenCpmMax`: longest time between two messages, and after which an object of Type-B is told again, s."""
 MOVED_M, FASTER_MPS, TURNED_DEG = 4.0, 0.5, 4.0
@@ -107,6 +109,8 @@ class CpmSender:
         percept = Percept(time_s, detected.boxes, detected.score, detected.velocity)
         tracks = self._tracker.update(percept, time_s)
         tracks = tracks[tracks.unseen_s <= _SLACK_S]
+        if time_s - self._sent_s < SHORTEST_S - _SLACK_S:
+            return None
         due = self._due(tracks, time_s)
         if not due.any() and time_s - self._sent_s < LONGEST_S - _SLACK_S:
             return None

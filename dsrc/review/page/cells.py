@@ -156,8 +156,8 @@ def compare_address(*links: str) -> str:
 
 
 def links_of(query: str) -> list[str]:
-    """Links of the cells of an address, at most `MOST`; the query itself where it is no address of cells."""
-    query = query.lstrip("?")
+    """Links of the cells of an address or its query, at most `MOST`; the query itself where it is of no cells."""
+    query = query.partition("?")[2] or query
     return [link for name, link in parse_qsl(query, keep_blank_values=True) if name == CELL][:MOST] or [query]
 
 

@@ -19,6 +19,8 @@ from sim.errors import SettingsError, complaint
 
 VIEW = "view"
 """Name of the camera's position and the point looked at: six numbers, m."""
+OF_BROWSER = ("fixedDpr", "pair")
+"""Names that an address has for the browser: of its pixels, and of the cell that a page is."""
 
 _FARTHEST_M = 1000.0
 """Farthest place of a sensor on its carrier, m."""
@@ -86,6 +88,14 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
         except SettingsError as error:
             complaints.append(str(error))
     return state, pose, complaints
+
+
+def unknown_names(query: str) -> list[str]:
+    """Return the names in a query that no link has."""
+    known = {*_rows(), VIEW, *OF_BROWSER}
+    return [name for name, _ in parse_qsl(query, keep_blank_values=True) if name not in known] or (
+        [query] if query and "=" not in query else []
+    )
 
 
 def _text(model: ReviewModel, field: str, value: Any) -> str:

@@ -54,10 +54,10 @@ def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> 
         from dsrc.review.sources.training import open_training
 
         return [*open_training(run, data, engine)]
-    if data is not None:
+    logs = [path] if path.suffix == ".npz" else _logs(path)
+    if data is not None and (logs or not _runs(path)):
         expected = f"{FILE} of dsrc evaluate or benchmark, {SHARES} of dsrc shares or settings.json of dsrc model train"
         raise DataError(complaint(path, "drives", expected, "none of them"))
-    logs = [path] if path.suffix == ".npz" else _logs(path)
     if logs:
         # The closed loop takes a second to import.
         from dsrc.closed_loop.log import EpisodeLog
@@ -67,7 +67,7 @@ def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> 
     if path.suffix == ".json" or any(path.glob("*_pred.npy")) or (path.is_dir() and list_labels(path)):
         return _boxes(path)
     if runs := _runs(path):
-        return _joined({run.name: open_sources(run, engine=engine) for run in runs})
+        return _joined({run.name: open_sources(run, data, engine) for run in runs})
     return [DriveSource(drive) for drive in open_drives(path)]
 
 
@@ -78,7 +78,7 @@ def _results(path: Path, data: Path | None) -> list[Source]:
     except MissingDriveError as error:
         if data is not None:
             raise
-        return _boxes(path, f"Boxes without clouds: {error} by --drives.")
+        return _boxes(path, f"Boxes of all drives without clouds: {error} by --drives.")
 
 
 def _boxes(path: Path, note: str = "") -> list[Source]:

@@ -278,6 +278,8 @@ def test_an_acceleration_that_is_not_finite_is_refused() -> None:
     loop.start(SEED)
     with pytest.raises(ValueError, match="finite"):
         loop.advance(float("nan"))
+    with pytest.raises(ValueError, match="steering_rad comes with acceleration_mps2"):
+        loop.advance(None, 0.1)
     loop.close()
 
 

@@ -26,7 +26,7 @@ from dsrc.review.page.cameras import (
     scene_from_review,
 )
 from dsrc.review.page.cells import links_of
-from dsrc.review.page.link import read_link
+from dsrc.review.page.link import read_link, unknown_names
 from dsrc.review.page.offline.overlay import (
     SHOWN,
     CameraButton,
@@ -76,13 +76,16 @@ def linked_views(
     """States and cameras of a link: one, or those of up to four cells.
 
     Args:
-        link: query of a page's address, with its question mark or without.
+        link: a page's address, or its query.
         start: what is shown where the link says nothing; None for the first frame as recorded.
 
     Raises:
         SettingsError: a part of the link is wrong.
     """
-    views = [read_link(one, model, start or ReviewState()) for one in links_of(link)]
+    links = links_of(link)
+    for name in (name for one in links for name in unknown_names(one)):
+        raise SettingsError(complaint("link", name, "names as in the address of a page", "one that it does not have"))
+    views = [read_link(one, model, start or ReviewState()) for one in links]
     for _, _, complaints in views:
         if complaints:
             raise SettingsError(complaints[0])

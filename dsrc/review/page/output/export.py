@@ -17,12 +17,14 @@ from dsrc.options.review import PageOptions
 from dsrc.outputs import COMMENT
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp, first_state
+from dsrc.review.page.cells import CELL, links_of
 from dsrc.review.page.offline.overlay import page_html
 from dsrc.review.page.offline.pages import UNSHARED, linked_views, over_sky, picture_parts, png_of, record, views_html
 from dsrc.review.page.output.screenshot import PATIENCE_S, BrowserPage, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.state import ReviewState
 from sensors.corruptions import Condition
+from sim.errors import SettingsError, complaint
 from sim.files import signed_picture, write_file
 
 SETTLE_S = 2.0
@@ -105,7 +107,10 @@ def export_pictures(
         SettingsError: a part of the link is wrong, or no Chromium is installed.
         DataError: a frame or its detections are damaged.
     """
-    state, _ = linked_views(model, link, start)[0]
+    views, links = linked_views(model, link, start), links_of(link)
+    if len(links) > 1:
+        raise SettingsError(complaint("link", CELL, "one view in a picture", f"{len(links)} cells"))
+    (state, _), (link,) = views[0], links
     app = ReviewApp(model, start_server(), state)
     try:
         with open_page(f"{app.url}/?fixedDpr=1&{link}", size) as page:

@@ -64,6 +64,11 @@ def test_a_message_that_was_overtaken_tells_nothing_older_than_what_is_known() -
     np.testing.assert_allclose(picture.objects(late.time_s).boxes.center[0], late.objects.boxes.center[0])
 
 
+def test_messages_are_a_tenth_of_a_second_apart_however_often_an_agent_senses() -> None:
+    told = told_at(lambda t: (60.0 * t, 0.0), np.arange(0.0, 3.01, 0.05))
+    assert np.diff(told).min() > 0.1 - 1e-9
+
+
 def test_a_steady_car_is_told_whenever_it_has_moved_more_than_4_m() -> None:
     told = told_at(lambda t: (15.0 * t, 0.0), np.arange(0.0, 6.05, 0.1))
     settled = np.diff([time_s for time_s in told if time_s > 3.0])

@@ -121,7 +121,7 @@ def test_results_whose_drives_are_gone_have_the_boxes_and_counts_that_they_had(
     state = ReviewState(frame=1, threshold=0.1, methods=("B",))
     view = model.view(state)
     assert view.counts == before.view(state).counts and view.counts.fn + view.counts.tp > 0
-    assert view.notice.startswith("Boxes without clouds: ") and "\n" not in view.notice
+    assert view.notice.startswith("Boxes of all drives without clouds: ") and "\n" not in view.notice
     assert sum(agent.total for agent in view.agents) == 0
     foggy = model.view(replace(state, methods=("B, fog 3",)))
     assert foggy.counts == before.view(replace(state, corruption="fog")).counts
@@ -137,6 +137,8 @@ def test_a_folder_of_runs_has_every_drive_once_with_the_methods_of_all(done: tup
     state = ReviewState(threshold=0.1)
     counts = [model.view(replace(state, methods=(name,))).counts for name in ("monday: B", "tuesday: B")]
     assert counts[0] == counts[1]
+    shutil.copytree(root / "test", tmp_path / "moved")
+    assert len(open_sources(tmp_path / "runs", tmp_path / "moved")) == 2
     both = model.index(replace(state, methods=("monday: A", "tuesday: A"))).counts(0.1, 0.5)
     assert both["monday: A"] == both["tuesday: A"]
 

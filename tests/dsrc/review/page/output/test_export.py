@@ -14,7 +14,8 @@ from dsrc.data.sample import Sample
 from dsrc.ops.detections import Detections
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
-from dsrc.review.page.output.export import export_html, export_states
+from dsrc.review.page.offline.pages import linked_views
+from dsrc.review.page.output.export import export_html, export_pictures, export_states
 from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page, screenshot
 from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
@@ -152,6 +153,21 @@ def test_export_takes_a_folder_and_a_slice(tmp_path: Path, frame: Frame) -> None
     with pytest.raises(DataError):
         export_html(tmp_path / "nothing", tmp_path / "other.html")
     assert not (tmp_path / "other.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("link", "said"), [("nonsense=3", "link: nonsense"), ("frame", "link: frame"), ("frame=x", "link: frame")]
+)
+def test_a_link_that_says_nothing_known_is_one_line(model: ReviewModel, link: str, said: str) -> None:
+    with pytest.raises(SettingsError, match=said):
+        linked_views(model, link)
+
+
+def test_an_address_is_a_link_and_that_of_cells_has_no_one_picture(model: ReviewModel) -> None:
+    address = "http://localhost:8080/compare?cell=frame%3D1&cell=frame%3D2%26pair%3Da.1"
+    assert [state.frame for state, _ in linked_views(model, address)] == [1, 2]
+    with pytest.raises(SettingsError, match="link: cell: expected one view in a picture, found 2 cells"):
+        next(export_pictures(model, address))
 
 
 def test_a_picture_of_nothing_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
