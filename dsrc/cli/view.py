@@ -27,7 +27,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
             drive; default: serve the page.
         picture: PNG of the view with legend and card, drawn by Chromium; default: none.
         animation: GIF of the view, drawn by Chromium; default: none.
-        link: what is written beside what the options say, as a page's address has it after the question mark;
+        link: address of a page, or its part after the question mark: what is written beside what the options say;
             default: nothing.
         size: width and height of a picture or animation, px.
         frames: frames of a page or an animation, from the one at the start.

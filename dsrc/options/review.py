@@ -58,8 +58,9 @@ class PageOptions(Review, frozen=True):
         out: HTML page to write.
         frames: number of frames from the first, or a slice of the drive's frames.
         frame: frame at the start, its row in the first drive.
-        link: what is shown beside that, as a live page's address has it after the question mark; the page then stands
-            at its first frame, with card, plots over time and pictures of the errors. Default: it plays the drive.
+        link: address of a live page, or its part after the question mark: what is shown beside that; the page then
+            stands at its first frame, with card, plots over time and pictures of the errors. Default: it plays the
+            drive.
         max_points: points per frame, all agents together; None for a page of at most 8 MB.
     """
 

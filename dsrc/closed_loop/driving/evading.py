@@ -22,6 +22,7 @@ from dsrc.closed_loop.driving.planner import PlannerSettings, PlanningDriver
 from dsrc.closed_loop.driving.prediction import Prediction, predict
 from dsrc.closed_loop.seen_space import SeenSpace
 from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Tracks
+from sim.boxes import Boxes
 from sim.collisions import overlap
 from sim.geometry import Array
 
@@ -221,14 +222,10 @@ def _driven(
 
 
 def _corners(pose: Array, size: Array) -> Array:
-    """Return the (..., 4, 2) corners of footprints, in order around them."""
-    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-    half = 0.5 * size
-    signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-    ahead, left = signs[:, 0] * half[..., :1], signs[:, 1] * half[..., 1:]
-    x = pose[..., 0, None] + c[..., None] * ahead - s[..., None] * left
-    y = pose[..., 1, None] + s[..., None] * ahead + c[..., None] * left
-    return np.stack([x, y], axis=-1)
+    """Return the (..., 4, 2) corners of footprints at (..., 3) poses."""
+    place, flat = pose.reshape(-1, 3), np.ones((pose.size // 3, 1))
+    boxes = np.concatenate([place[:, :2], flat, size.reshape(-1, 2), flat, place[:, 2:]], axis=1)
+    return Boxes.from_array(boxes).bev_polygons().reshape(*pose.shape[:-1], 4, 2)
 
 
 def _outlines(others: Prediction) -> Array:
