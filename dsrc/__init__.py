@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from dsrc.closed_loop.replay import replay
     from dsrc.closed_loop.report.report import write_report
     from dsrc.closed_loop.report.terminal import summary_table
-    from dsrc.closed_loop.seen_space import SeenSpace
     from dsrc.closed_loop.team import TeamLoop
     from dsrc.closed_loop.types import Decision, EgoState, Outcome, Percept, Tracks
     from dsrc.data.clouds.corrupt import corrupt
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from dsrc.evaluation.report.ap_table import result_table
     from dsrc.evaluation.scoring.report import score_table
     from dsrc.evaluation.scoring.score import score
+    from dsrc.messages.seen_space import SeenSpace
     from dsrc.models.detector import Detector, detect
     from dsrc.models.fusion import AgentLayout, Fusion, register_fusion
     from dsrc.models.fusion_check import check_fusion
@@ -79,7 +79,7 @@ _MODULES = {
     "dsrc.closed_loop.report.report": ("write_report",),
     "dsrc.closed_loop.report.terminal": ("summary_table",),
     "dsrc.closed_loop.replay": ("replay",),
-    "dsrc.closed_loop.seen_space": ("SeenSpace",),
+    "dsrc.messages.seen_space": ("SeenSpace",),
     "dsrc.closed_loop.team": ("TeamLoop",),
     "dsrc.closed_loop.types": ("Decision", "EgoState", "Outcome", "Percept", "Tracks"),
     "dsrc.data.clouds.corrupt": ("corrupt",),

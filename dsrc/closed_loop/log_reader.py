@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.log_columns import BOX, MOVING, SIDES, STATES, TRACK, TWICE, runs_of
-from dsrc.closed_loop.types import Decision, EgoState, Percept, Tick, Told, Tracks
+from dsrc.closed_loop.types import Decision, EgoState, Percept, Tick, Tracks
+from dsrc.messages.message import Told
 from sim.boxes import CLASSES, Boxes
 from sim.contact import Contact
 from sim.errors import DataError, complaint

@@ -7,34 +7,14 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.seen_space import SeenSpace
+from dsrc.messages.message import Told
+from dsrc.messages.seen_space import SeenSpace
 from sim.boxes import Boxes
 from sim.contact import Contact
 from sim.radio import Link
 from sim.rows import Rows
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, Limits, TrafficLight
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What became of a helper's message, in episodes with an attack or a defence.
-
-    Attributes:
-        sender: id of the helper.
-        objects: number of those that it tells of.
-        false: of these, those that an attack put where none is.
-        refused: of the objects, those that the ego refused.
-        false_refused: of the false ones, likewise.
-        attacked: whether an attack changed the message.
-    """
-
-    sender: int
-    objects: int
-    false: int
-    refused: int
-    false_refused: int
-    attacked: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)

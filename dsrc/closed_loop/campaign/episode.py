@@ -17,7 +17,6 @@ from dsrc.closed_loop.driving.own.process import ProcessDriver
 from dsrc.closed_loop.encounter import conflict_class
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
-from dsrc.closed_loop.messages.defences import Defence
 from dsrc.closed_loop.metrics.episode import episode_metrics
 from dsrc.closed_loop.metrics.lies import lie_metrics
 from dsrc.closed_loop.perception.open import open_perception
@@ -25,6 +24,7 @@ from dsrc.closed_loop.types import Driver, Perception
 from dsrc.data.jsonio import read_json
 from dsrc.detectors.texts import kind_of
 from dsrc.faults.fault import Faults, faults_text
+from dsrc.messages.defences import Defence
 from dsrc.runs.unit import Progress, Unit, key_of
 from sensors.corruptions import CLEAN, EVERYONE, Condition
 from sim.boxes import CLASSES

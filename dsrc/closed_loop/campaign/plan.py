@@ -35,7 +35,6 @@ from msgspec.structs import replace
 from dsrc.closed_loop.campaign.episode import EpisodeJob
 from dsrc.closed_loop.driving.open import driver_sha256, open_driver
 from dsrc.closed_loop.loop import LoopSettings
-from dsrc.closed_loop.messages.defences import Defence, parse_defence
 from dsrc.closed_loop.perception.error_model.model import read_model
 from dsrc.closed_loop.perception.open import (
     ALONE,
@@ -52,6 +51,7 @@ from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
 from dsrc.faults.condition import Disturbance, settled
 from dsrc.faults.fault import Faults, faults_text, parse_faults
+from dsrc.messages.defences import Defence, parse_defence
 from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import NO_DEFENCE, DriveOptions
 from dsrc.options.fields import RENAMED, changed_radios
@@ -121,7 +121,7 @@ class Campaign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         pose_error: pose error of the helpers, m and deg, likewise.
         fault: faults, each text a row of the tables, see `dsrc.faults.fault`: `fog:3 from 4 s on helpers + loss:0.3`.
         defence: defences against helpers that lie, each text in episodes of its own: names between commas, or `none`;
-            perceptions whose helpers tell no boxes are driven without. See `dsrc.closed_loop.messages.defences`.
+            perceptions whose helpers tell no boxes are driven without. See `dsrc.messages.defences`.
         clean_seeds: seeds of each scenario and perception without a corruption: a number of them, from 0, or a list.
         seeds: those of each scenario, perception, corruption, severity or fault, and channel; the same for all.
         engine: execution of the networks, see `dsrc.models.storage.deploy.ENGINES`; `auto` becomes the fastest that

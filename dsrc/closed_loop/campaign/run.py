@@ -39,12 +39,12 @@ from dsrc.closed_loop.campaign.plan import (
 )
 from dsrc.closed_loop.driving.open import driver_sha256, is_own, open_driver
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.messages.defences import NO_DEFENCE, parse_defence
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
 from dsrc.closed_loop.perception.open import open_perception, parse_perception
 from dsrc.closed_loop.replay import replay
 from dsrc.closed_loop.types import Outcome
 from dsrc.faults.fault import faults_text, parse_faults
+from dsrc.messages.defences import NO_DEFENCE, parse_defence
 from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress

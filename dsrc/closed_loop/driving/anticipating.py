@@ -24,8 +24,8 @@ from dsrc.closed_loop.driving.path import STEP_M, Path, path_of
 from dsrc.closed_loop.driving.planner import PlannerSettings, PlanningDriver
 from dsrc.closed_loop.driving.prediction import Prediction
 from dsrc.closed_loop.driving.profiles import Profiles, profiles_of
-from dsrc.closed_loop.seen_space import SeenSpace
 from dsrc.closed_loop.types import ConflictLane, Decision, EgoState, LaneMap, Tracks
+from dsrc.messages.seen_space import SeenSpace
 from sim.boxes import Boxes
 from sim.geometry import Array
 from sim.rows import stacked

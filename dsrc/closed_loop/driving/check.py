@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from dsrc.closed_loop.driving.open import open_driver
 from dsrc.closed_loop.driving.own.checked import CheckedDriver
 from dsrc.closed_loop.driving.own.process import ProcessDriver
-from dsrc.closed_loop.seen_space import SeenSpace, View
 from dsrc.closed_loop.types import ConflictLane, Decision, EgoState, LaneMap, Percept, Tracks
+from dsrc.messages.seen_space import SeenSpace, View
 from sim.boxes import Boxes
 from sim.errors import SettingsError, UserError, one_line
 from sim.traffic.base import Limits, TrafficLight

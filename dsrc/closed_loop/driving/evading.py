@@ -20,8 +20,8 @@ from dsrc.closed_loop.driving.bicycle import bicycle_step, steering_for
 from dsrc.closed_loop.driving.path import Path, path_of
 from dsrc.closed_loop.driving.planner import PlannerSettings, PlanningDriver
 from dsrc.closed_loop.driving.prediction import Prediction, predict
-from dsrc.closed_loop.seen_space import SeenSpace
 from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Tracks
+from dsrc.messages.seen_space import SeenSpace
 from sim.boxes import Boxes
 from sim.collisions import overlap
 from sim.geometry import Array

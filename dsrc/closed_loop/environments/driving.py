@@ -20,8 +20,8 @@ from dsrc.closed_loop.environments.vehicles import TrackedVehicle
 from dsrc.closed_loop.environments.viewer import CRASHED, EGO, TRACK, LoopViewer
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
-from dsrc.closed_loop.seen_space import SeenSpace
 from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Perception, Tick, Tracks
+from dsrc.messages.seen_space import SeenSpace
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.scenario import Scenario
 
@@ -187,7 +187,7 @@ class DrivingEnv(AbstractEnv):
 
     @property
     def seen(self) -> SeenSpace | None:
-        """The newest seen space of the perception; None of one without sweeps, see `dsrc.closed_loop.seen_space`."""
+        """The newest seen space of the perception; None of one without sweeps, see `dsrc.messages.seen_space`."""
         driver = self.loop.driver
         return driver.seen if isinstance(driver, _Agent) else None
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dsrc.closed_loop.messages.message import Objects
 from dsrc.closed_loop.messages.present import advanced
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Percept, Tracks
+from dsrc.messages.message import Objects
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import Array, wrap_angle
 from sim.radio import cpm_bytes

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dsrc.closed_loop.messages.message import SAME_M, Message, Objects
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Percept, Tracks
+from dsrc.messages.message import SAME_M, Message, Objects
 from sim.boxes import Boxes
 from sim.geometry import Array
 

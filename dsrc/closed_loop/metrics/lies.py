@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.messages.message import near_any
 from dsrc.closed_loop.types import Tick
+from dsrc.messages.message import near_any
 
 _STILL_MPS, _DRIVES_MPS = 0.1, 0.5
 """Speed below which the ego stands, and from which on it drives again, m/s."""

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from dsrc.closed_loop.messages.cpm import Cpm, CpmPicture, CpmSender
-from dsrc.closed_loop.messages.message import Objects
-from dsrc.closed_loop.perception.detector import DetectorPerception, as_detections, as_objects, tells_boxes
-from dsrc.closed_loop.seen_space import SeenSpace
-from dsrc.closed_loop.types import Told
+from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.data.sample import Sample
+from dsrc.messages.message import Objects, Told, as_detections, as_objects, tells_boxes
+from dsrc.messages.seen_space import SeenSpace
 from dsrc.models.device import one_thread
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame

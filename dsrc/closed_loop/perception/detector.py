@@ -3,25 +3,23 @@
 import math
 from collections import deque
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.messages.defences import Defence
-from dsrc.closed_loop.messages.inbox import Inbox
-from dsrc.closed_loop.messages.message import Message, Objects
 from dsrc.closed_loop.messages.present import Present
 from dsrc.closed_loop.perception.senses import Senses, sensed_every_s
-from dsrc.closed_loop.seen_space import SeenSpace, View, seen_of
-from dsrc.closed_loop.types import EgoState, Percept, Told
+from dsrc.closed_loop.types import EgoState, Percept
 from dsrc.data.sample import Sample, SampleDetector, make_sample
 from dsrc.faults.condition import radio_faults
 from dsrc.faults.fault import Faults
+from dsrc.messages.defences import Defence
+from dsrc.messages.inbox import Inbox
+from dsrc.messages.message import Told, as_detections, tells_boxes, told_of
+from dsrc.messages.seen_space import SeenSpace, seen_of
 from dsrc.models.channel import Receiver
 from dsrc.models.device import one_thread
-from dsrc.models.settings import fusion_of
 from dsrc.ops.detections import Detections
 from sensors.corruptions import Condition
 from sensors.frame import Frame
@@ -48,7 +46,7 @@ class DetectorPerception:
             half its reach at most; 0: no shift.
         engine: execution of the detector's network, for logs.
         faults: of the episode; those of sensors and radio, and attacks, act here.
-        defence: against attacks, see `dsrc.closed_loop.messages.defences`.
+        defence: against attacks, see `dsrc.messages.defences`.
 
     Raises:
         SettingsError: `look_ahead_s` is not finite or below 0, or not 0 for a network that encodes each cloud in its
@@ -154,7 +152,7 @@ class DetectorPerception:
 
     def aim(self, ego: EgoState) -> None:
         """Tell attackers where the ego is and goes."""
-        self._inbox.aim(ego)
+        self._inbox.aim(ego.box, ego.route, ego.time_s)
 
     def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
         """Return the detected boxes, with scores and classes as detected, without velocities and ids.
@@ -209,16 +207,7 @@ class DetectorPerception:
         parts: list[Detections] = detector.detect_each(sample)
         world_from_sample, ego = self._world_from_sample(sample), self._past[0]
         senders = [(self._ego_id, ego, ego.agent(self._ego_id).sweep.world_from_lidar), *self._sent(sample, links)]
-        messages = [
-            Message.honest(
-                agent,
-                frame.time_s,
-                pose,
-                as_objects(part, world_from_sample),
-                partial(View.of, frame.agent(agent), pose),
-            )
-            for (agent, frame, pose), part in zip(senders, parts, strict=True)
-        ]
+        messages = told_of(parts, senders, world_from_sample)
         mail = self._inbox.read(messages[0], messages[1:])
         # Boxes that nobody changed stay as detected, to the bit.
         believed = []
@@ -229,22 +218,6 @@ class DetectorPerception:
             same = objects is one.objects and not one.attacked
             believed.append((part if same else as_detections(objects, world_from_sample))[kept])
         return detector.joined(believed), mail.told if self._inbox.active else (), mail.seen
-
-
-def tells_boxes(detector: SampleDetector) -> bool:
-    """Whether each agent detects alone and tells boxes."""
-    return hasattr(detector, "detect_each") and fusion_of(detector.settings) == "late"
-
-
-def as_objects(found: Detections, world_from_sample: NDArray[np.float64]) -> Objects:
-    """Return detections in a sample's frame as objects in the world, without velocities."""
-    boxes = found.boxes.transform(world_from_sample)
-    return Objects(boxes, found.score.astype(np.float64), np.full((len(boxes), 2), np.nan))
-
-
-def as_detections(objects: Objects, world_from_sample: NDArray[np.float64]) -> Detections:
-    """Return objects in the world as detections in a sample's frame."""
-    return Detections(objects.boxes.transform(invert(world_from_sample)), objects.score.astype(np.float32))
 
 
 def _shift_m(speed_mps: float, look_ahead_s: float, reach_m: float) -> float:

@@ -4,13 +4,13 @@ import os
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
-from dsrc.closed_loop.messages.defences import Defence, parse_defence
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
 from dsrc.closed_loop.types import Perception
 from dsrc.data.sample import SampleDetector
 from dsrc.detectors.classes import OwnDetector, load_own
 from dsrc.detectors.texts import SHIPPED_DETECTOR, kind_of, split_name
 from dsrc.faults.fault import Fault, Faults, parse_faults, require_apart
+from dsrc.messages.defences import Defence, parse_defence
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, CorruptedAgents, Family
 from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
 from sim.radio import IDEAL, PRESETS, ChannelSpec, get_channel
@@ -83,7 +83,7 @@ def open_perception(
             `engine` is what runs.
         device: of the network.
         fault: faults of the episode, see `dsrc.faults.fault`.
-        defence: against helpers that lie, see `dsrc.closed_loop.messages.defences`: names between commas.
+        defence: against helpers that lie, see `dsrc.messages.defences`: names between commas.
         who: former name of `corrupted_agents`.
 
     Raises:

@@ -6,13 +6,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.messages.defences import Defence
-from dsrc.closed_loop.messages.inbox import Inbox, Mail
-from dsrc.closed_loop.messages.message import Message, Objects
 from dsrc.closed_loop.perception.senses import Senses
-from dsrc.closed_loop.seen_space import SeenSpace, View, seen_of
 from dsrc.closed_loop.types import EgoState, Percept
 from dsrc.faults.fault import Faults
+from dsrc.messages.defences import Defence
+from dsrc.messages.inbox import Inbox, Mail
+from dsrc.messages.message import Message, Objects
+from dsrc.messages.seen_space import SeenSpace, View, seen_of
 from dsrc.ops.iou import bev_iou, rotated_nms
 from sensors.corruptions import Condition
 from sensors.frame import AgentFrame, Frame
@@ -63,7 +63,7 @@ class SightPerception(TruthPerception):
         least_points: of one LiDAR on a road user that is seen; as many as an encounter's proof denies the ego.
         cooperative: the helpers' LiDARs see too, without a radio between: the best that any sharing could give.
         faults: of the episode; attacks act here.
-        defence: against them, see `dsrc.closed_loop.messages.defences`.
+        defence: against them, see `dsrc.messages.defences`.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class SightPerception(TruthPerception):
 
     def aim(self, ego: EgoState) -> None:
         """Tell attackers where the ego is and goes."""
-        self._inbox.aim(ego)
+        self._inbox.aim(ego.box, ego.route, ego.time_s)
 
     def perceive(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Percept:
         """Return the other actors within reach and sight, with their ids and velocities."""

@@ -114,7 +114,7 @@ class EpisodeTimeline:
 def unseen_places(agents: Sequence[AgentFrame], ego_id: int) -> NDArray[np.bool_] | None:
     """Places around an ego that no sweep of the agents shows to be free, see `EpisodeMoment.unseen`."""
     # The closed loop takes a second to import; its episodes are open.
-    from dsrc.closed_loop.seen_space import seen_of
+    from dsrc.messages.seen_space import seen_of
 
     if not any(len(agent.sweep) for agent in agents):
         return None

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.log import EpisodeLog, EpisodeSettings
-from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Told, Tracks
+from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Tracks
+from dsrc.messages.message import Told
 from sim.boxes import Boxes
 from sim.contact import Contact
 from sim.errors import DataError

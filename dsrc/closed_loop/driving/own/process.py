@@ -36,10 +36,10 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from dsrc.closed_loop.driving.path import path_of
-from dsrc.closed_loop.seen_space import SeenSpace
 from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Tracks
 from dsrc.detectors.line import ProcessLine
 from dsrc.detectors.message import PROTOCOL, Header
+from dsrc.messages.seen_space import SeenSpace
 from sim.boxes import CLASSES
 
 START_S = 300.0

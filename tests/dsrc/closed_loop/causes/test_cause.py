@@ -9,7 +9,8 @@ import pytest
 from dsrc.closed_loop.causes.braking import braked_way, last_chance
 from dsrc.closed_loop.causes.cause import Cause, cause_of
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Told, Tracks
+from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Tracks
+from dsrc.messages.message import Told
 from sim.contact import Contact, first_contact
 from sim.traffic.base import Actors
 from tests.dsrc.closed_loop.logged import EGO_ID, LIMITS, Mover, actors_at, ahead, episode, no_tracks, percept_of

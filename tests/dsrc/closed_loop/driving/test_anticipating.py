@@ -10,8 +10,8 @@ from dsrc.closed_loop.driving.anticipating import AnticipatingDriver, Anticipati
 from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.open import open_perception
-from dsrc.closed_loop.seen_space import SeenSpace
 from dsrc.closed_loop.types import ConflictLane, Decision, EgoState, LaneMap, Outcome, Tracks
+from dsrc.messages.seen_space import SeenSpace
 from sim.geometry import Array
 from tests.dsrc.closed_loop.driving.world import CAR, Other, Run, run
 

@@ -14,8 +14,8 @@ from dsrc.closed_loop.driving.planner import PlanningDriver
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.open import open_perception
-from dsrc.closed_loop.seen_space import SeenSpace
 from dsrc.closed_loop.types import ConflictLane, Decision
+from dsrc.messages.seen_space import SeenSpace
 from sim.boxes import Boxes
 from sim.collisions import collide
 from sim.geometry import Array

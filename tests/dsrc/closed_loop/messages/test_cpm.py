@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.messages.cpm import FORGOTTEN_S, CpmPicture, CpmSender, quantised
-from dsrc.closed_loop.messages.message import Objects
 from dsrc.closed_loop.types import Tracks
+from dsrc.messages.message import Objects
 from sim.boxes import CLASSES, Boxes
 
 CAR, WALKER = CLASSES.index("car"), CLASSES.index("pedestrian")

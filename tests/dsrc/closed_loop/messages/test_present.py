@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from dsrc.closed_loop.messages.message import Message, Objects
 from dsrc.closed_loop.messages.present import Present
-from dsrc.closed_loop.seen_space import View
+from dsrc.messages.message import Message, Objects
+from dsrc.messages.seen_space import View
 from sim.boxes import Boxes
 
 SPEED_MPS, RATE, EVERY_S = 12.0, 0.3, 0.1

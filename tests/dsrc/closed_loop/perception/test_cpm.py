@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
-from dsrc.closed_loop.messages.message import near_any
 from dsrc.closed_loop.perception.cpm import CpmPerception
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.types import Percept
+from dsrc.messages.message import near_any
 from sim.errors import SettingsError
 from tests.dsrc.evaluation.fakes import PointCounter
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from dsrc.closed_loop.driving.own.checked import CheckedDriver
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.closed_loop.perception.truth import SightPerception, TruthPerception
-from dsrc.closed_loop.seen_space import LOW_M, SeenSpace, View
 from dsrc.closed_loop.types import Percept, Perception
+from dsrc.messages.seen_space import LOW_M, SeenSpace, View
 from sensors.frame import AgentFrame
 from sensors.motion import Path
 from sensors.presets import get_lidar

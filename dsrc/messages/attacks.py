@@ -11,12 +11,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.messages.message import Message, Objects
-from dsrc.closed_loop.seen_space import View
-from dsrc.closed_loop.types import EgoState
 from dsrc.faults.fault import Fault, Faults
 from dsrc.faults.kinds import Bias, Ghost, Remove, Seconds
 from dsrc.faults.localisation import believed_from_true, pose_error
+from dsrc.messages.message import Message, Objects
+from dsrc.messages.seen_space import View
 from sim.boxes import Boxes
 from sim.rows import stacked
 from sim.streams import Stream, random_generator
@@ -44,22 +43,23 @@ class Attacks:
         self._keep_s = max([one.value for one in self._faults if one.kind == "replay"], default=0.0)
         self._past: dict[int, deque[Message]] = {}
 
-    def aim(self, ego: EgoState, time_s: float) -> None:
+    def aim(self, ego: Boxes, route: NDArray[np.float64], time_s: float) -> None:
         """Tell the liars where the ego is and goes; a ghost that it has passed stands ahead of it again.
 
         Args:
+            ego: one box, world frame.
+            route: (K, 2) polyline that it will follow from its centre, world frame, m.
             time_s: of the episode.
         """
         # As a log has it, so that its replay has the same ghosts.
-        ego = replace(ego, route=from_steps(np.rint(ego.route / POSITION_M), POSITION_M))
-        self._route = ego.route
+        self._route = from_steps(np.rint(route / POSITION_M), POSITION_M)
         for number, fault in enumerate(self._faults):
             if not isinstance(fault.settings, Ghost):
                 continue
             if not fault.at(time_s) or (number in self._ghosts and _passed(ego, self._ghosts[number])):
                 self._ghosts.pop(number, None)
             if fault.at(time_s) and number not in self._ghosts:
-                ghost = _standing(ego, fault.settings.ahead_m)
+                ghost = _standing(ego, self._route, fault.settings.ahead_m)
                 self._ghosts |= {} if ghost is None else {number: ghost}
 
     def written(self, message: Message, time_s: float) -> Message:
@@ -121,22 +121,22 @@ class Attacks:
         return replace(again, time_s=message.time_s, view=view)
 
 
-def _standing(ego: EgoState, ahead_m: float) -> Boxes | None:
+def _standing(ego: Boxes, route: NDArray[np.float64], ahead_m: float) -> Boxes | None:
     """Return a car on the ego's route so far ahead; None where the route ends before."""
-    steps = np.diff(ego.route, axis=0)
+    steps = np.diff(route, axis=0)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
     if along[-1] < ahead_m:
         return None
-    x, y = (np.interp(ahead_m, along, axis) for axis in ego.route.T)
+    x, y = (np.interp(ahead_m, along, axis) for axis in route.T)
     step = steps[min(int(np.searchsorted(along, ahead_m, side="right")) - 1, len(steps) - 1)]
-    ground = ego.box.center[0, 2] - 0.5 * ego.box.size[0, 2]
+    ground = ego.center[0, 2] - 0.5 * ego.size[0, 2]
     return Boxes.from_array([x, y, ground + 0.5 * _CAR_M[2], *_CAR_M, np.arctan2(step[1], step[0])])
 
 
-def _passed(ego: EgoState, ghost: Boxes) -> bool:
+def _passed(ego: Boxes, ghost: Boxes) -> bool:
     """Whether a ghost is behind the ego."""
-    heading = [np.cos(ego.box.yaw[0]), np.sin(ego.box.yaw[0])]
-    return bool((ghost.center[0, :2] - ego.box.center[0, :2]) @ heading < 0.0)
+    heading = [np.cos(ego.yaw[0]), np.sin(ego.yaw[0])]
+    return bool((ghost.center[0, :2] - ego.center[0, :2]) @ heading < 0.0)
 
 
 def _aside(boxes: Boxes, route: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.messages.attacks import Attacks
-from dsrc.closed_loop.messages.defences import Defence, Defences
-from dsrc.closed_loop.messages.message import Message
-from dsrc.closed_loop.seen_space import SeenSpace
-from dsrc.closed_loop.types import EgoState, Told
 from dsrc.faults.fault import Faults
+from dsrc.messages.attacks import Attacks
+from dsrc.messages.defences import Defence, Defences
+from dsrc.messages.message import Message, Told
+from dsrc.messages.seen_space import SeenSpace
+from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint
 
 
@@ -48,17 +48,22 @@ class Inbox:
         """Whether anybody attacks or defends."""
         return bool(self._given or self._defence)
 
-    def reset(self, seed: int, ego_id: int) -> None:
-        """Begin an episode."""
+    def reset(self, seed: int, ego_id: int, start_s: float | None = None) -> None:
+        """Begin an episode.
+
+        Args:
+            start_s: its begin, by the times of messages, s; None for when `aim` is first called.
+        """
         self._ego_id = ego_id
         self._attacks, self._defences = Attacks(self._faults, seed, ego_id), Defences(self._defence)
-        self._start_s: float | None = None
+        self._start_s, self._aimed = start_s, False
 
-    def aim(self, ego: EgoState) -> None:
-        """Tell the attackers where the ego is and goes, before each percept."""
+    def aim(self, ego: Boxes, route: NDArray[np.float64], time_s: float) -> None:
+        """Tell the attackers where the ego is and goes, before each percept; arguments as `Attacks.aim`."""
         if self._start_s is None:
-            self._start_s = ego.time_s
-        self._attacks.aim(ego, ego.time_s - self._start_s)
+            self._start_s = time_s
+        self._aimed = True
+        self._attacks.aim(ego, route, time_s - self._start_s)
 
     def check(self, helpers: Sequence[int]) -> None:
         """Raise SettingsError for an attack on somebody who is no helper."""
@@ -79,7 +84,7 @@ class Inbox:
         Raises:
             RuntimeError: nobody told attackers where the ego is, see `aim`.
         """
-        if self._start_s is None and self._given:
+        if self._given and not self._aimed:
             raise RuntimeError("Inbox.read before aim")
         sent = [self._attacks.written(one, one.time_s - (self._start_s or 0.0)) for one in told]
         refused = self._defences.refused(own, sent)

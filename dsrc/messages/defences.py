@@ -6,7 +6,7 @@
   believed.
 * `trust`: ignores a helper while the others refused something in too many of its last messages.
 
-Free space is that of rays (`dsrc.closed_loop.seen_space`): where no road user can be unseen, and the witness tells of
+Free space is that of rays (`dsrc.messages.seen_space`): where no road user can be unseen, and the witness tells of
 none. Objects lower than these rays are not judged, nor those so far or narrow that rays pass beside them in one sector,
 nor those of an instant at which nobody looked. A witness says nothing of the place where it is itself. What was refused
 stays so for some seconds where it is told again, since a witness has blind places close to it.
@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.messages.message import Message, near_any
-from dsrc.closed_loop.seen_space import LOW_M, View
+from dsrc.messages.message import Message, near_any
+from dsrc.messages.seen_space import LOW_M, View
 from dsrc.options.driving import DEFENCES, NO_DEFENCE
 from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint, did_you_mean

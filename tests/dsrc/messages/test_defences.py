@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.messages.defences import (
+from dsrc.messages.defences import (
     Defences,
     Witness,
     disagrees,
@@ -15,8 +15,8 @@ from dsrc.closed_loop.messages.defences import (
     parse_defence,
     sender_moves,
 )
-from dsrc.closed_loop.messages.message import Message, Objects
-from dsrc.closed_loop.seen_space import View
+from dsrc.messages.message import Message, Objects
+from dsrc.messages.seen_space import View
 from sim.boxes import Boxes
 from sim.errors import SettingsError
 from sim.geometry import pose_matrix

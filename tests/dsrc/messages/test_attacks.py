@@ -9,17 +9,17 @@ import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
-from dsrc.closed_loop.messages.attacks import Attacks
-from dsrc.closed_loop.messages.message import Message, near_any
 from dsrc.closed_loop.metrics.lies import LieMetrics, lie_metrics
 from dsrc.closed_loop.perception.open import open_perception
 from dsrc.closed_loop.replay import replay
 from dsrc.closed_loop.types import EgoState, Outcome, Percept
 from dsrc.faults.fault import parse_faults
+from dsrc.messages.attacks import Attacks
+from dsrc.messages.message import Message, near_any
 from sim.boxes import Boxes
 from sim.errors import SettingsError
 from sim.traffic.base import Limits
-from tests.dsrc.closed_loop.messages.test_defences import EGO, HELPER, message, objects
+from tests.dsrc.messages.test_defences import EGO, HELPER, message, objects
 
 ROUTE = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 40.0]])
 
@@ -34,7 +34,7 @@ def sent(text: str, honest: list[Message], seed: int = 0) -> list[Message]:
     attacks = Attacks(parse_faults(text), seed, EGO)
     found = []
     for one in honest:
-        attacks.aim(ego(), one.time_s)
+        attacks.aim(ego().box, ego().route, one.time_s)
         found.append(attacks.written(one, one.time_s))
     return found
 
@@ -57,7 +57,7 @@ def test_a_ghost_stays_where_it_is_until_the_ego_has_passed_it() -> None:
     attacks = Attacks(parse_faults("ghost"), 0, EGO)
     places = []
     for x in (0.0, 10.0, 24.0, 26.0):
-        attacks.aim(ego(x), 0.0)
+        attacks.aim(ego(x).box, ego(x).route, 0.0)
         places.append(attacks.written(drives(1)[0], 0.0).objects.boxes.center[1, :2].tolist())
     assert places[:3] == [[25.0, 0.0]] * 3 and places[3] == [30.0, 21.0]
 
@@ -196,7 +196,7 @@ def test_late_fusion_joins_lies_with_detections_and_without_any_is_as_before() -
 
 def ghost_of(ego: EgoState) -> Boxes:
     attacks = Attacks(parse_faults("ghost"), 0, EGO)
-    attacks.aim(ego, 0.0)
+    attacks.aim(ego.box, ego.route, 0.0)
     return attacks.written(message(HELPER, objects(), (0.0, 0.0)), 0.0).objects.boxes
 
 
