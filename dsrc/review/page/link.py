@@ -15,12 +15,15 @@ from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
 from sensors.corruptions import CLEAN, Changes, Condition, parse_agents
-from sim.errors import SettingsError, complaint
+from sim.errors import SettingsError, UserError, complaint
 
 VIEW = "view"
 """Name of the camera's position and the point looked at: six numbers, m."""
 OF_BROWSER = ("fixedDpr", "pair")
 """Names that an address has for the browser: of its pixels, and of the cell that a page is."""
+
+_OF_DRIVE = ("frame", "object", "detection", "ego", "hidden", "carrier", "placement", "ruler", VIEW)
+"""Names of what is another thing in another drive."""
 
 _FARTHEST_M = 1000.0
 """Farthest place of a sensor on its carrier, m."""
@@ -60,7 +63,8 @@ def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) 
 def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[ReviewState, CameraPose | None, list[str]]:
     """Return the state of a link, its camera, and one complaint per part that cannot be taken.
 
-    Without a frame, a source that grows is shown at its newest, and another drive than that of `state` at its first.
+    Without a frame, a source that grows is shown at its newest, and another drive than that of `state` at its first. A
+    frame after the last is the last; of a drive that is gone nothing is taken.
 
     Args:
         state: of a page without a link.
@@ -75,12 +79,18 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
             state = replace(state, **{control.field: _value(control, parts[name], Shown(model, state))})
         except SettingsError as error:
             complaints.append(str(error))
+            if name == "drive":
+                parts = {known: text for known, text in parts.items() if known not in _OF_DRIVE}
+            elif name == "frame" and parts[name].isdecimal():
+                state = replace(state, frame=model.frame_count(state.drive) - 1)
     first = model.first_row(state.drive)
     if "frame" not in parts and model.grows(state.drive):
         state = replace(state, frame=model.frame_count(state.drive) - 1)
     elif "frame" not in parts and state.drive != start.drive:
         state = replace(state, **model.opening(state.drive))
     state = replace(state, frame=max(state.frame, first))
+    state, gone = _with_agents(state, model, parts)
+    complaints += gone
     pose = None
     if VIEW in parts:
         try:
@@ -88,6 +98,23 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
         except SettingsError as error:
             complaints.append(str(error))
     return state, pose, complaints
+
+
+def _with_agents(state: ReviewState, model: ReviewModel, parts: dict[str, str]) -> tuple[ReviewState, list[str]]:
+    """State without ego and carrier that its frame lacks, and one complaint per part of a link with such agents."""
+    carrier, hidden = {state.carrier} - {"ego", "pole"}, set(map(str, state.hidden))
+    named = {"ego": {str(state.ego_id)} if state.ego_id is not None else set(), "hidden": hidden, "carrier": carrier}
+    named = {name: ids for name, ids in named.items() if name in parts and ids}
+    try:
+        agents = model.stores[state.drive].recorded(state.frame).agents if named else ()
+    except UserError:
+        return state, []  # the page tells what is wrong with the frame
+    known = [str(agent.agent_id) for agent in agents]
+    gone = [name for name, ids in named.items() if not ids <= set(known)]
+    state = replace(state, ego_id=None) if "ego" in gone else state
+    state = replace(state, carrier="ego") if "carrier" in gone else state
+    expected = f"agents of frame {state.frame}, {', '.join(known)}"
+    return state, [complaint("link", name, expected, parts[name]) for name in gone]
 
 
 def unknown_names(query: str) -> list[str]:
@@ -121,8 +148,10 @@ def _value(control: Control, text: str, shown: Shown) -> Any:
     Raises:
         SettingsError: it is no value of the control.
     """
-    if control.field == "drive" and text in shown.model.names:
-        return shown.model.names.index(text)
+    if control.field == "drive" and text in (names := shown.model.names):
+        return names.index(text)
+    if control.field == "drive" and not text.isdecimal():
+        raise SettingsError(complaint("link", control.link, ", ".join(names), text))
     if control.field == "methods":
         return _methods(control, text, shown)
     if control.field == "placement":

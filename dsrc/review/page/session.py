@@ -34,7 +34,7 @@ from dsrc.review.texts import quoted
 from dsrc.review.view import FrameView
 from dsrc.review.worker import JobProgress, Latest, Worker
 from sensors.corruptions import CLEAN
-from sim.errors import UserError
+from sim.errors import UserError, complaint
 
 log = logging.getLogger(__name__)
 
@@ -124,7 +124,7 @@ class Session:
         self.camera, self.address = BrowserCamera(client, pose), AddressBar(client)
         self._on_close: list[Callable[[], None]] = []
         self._help: Any = None
-        self._failed, self._told_of = False, (state.drive, state.frame)
+        self._failed, self._told, self._told_of = False, notice, (state.drive, state.frame)
         self._interval_s = 0.1
         self._build(notice)
         self._thread = threading.Thread(target=self._work, name="review-session", daemon=True)
@@ -143,7 +143,7 @@ class Session:
             handle.on_trigger(self._trigger(command))
         self.client.camera.on_update(self._camera_moved)
         width = self.client.camera.image_width
-        if 0 < width <= NARROW_PX:
+        if 0 < width <= NARROW_PX and not notice:
             self.gui.main_panel.minimize()
         if 0 < width < CELL_PX:
             next(panel for panel in self.panels if isinstance(panel, LegendPanel)).window.minimize()
@@ -237,12 +237,20 @@ class Session:
 
     def over_time(self, state: ReviewState, view: FrameView) -> str:
         """SVG of the plots over time of what is selected, as far as it is known; "" without any."""
-        chosen = state.object_id is not None or state.detection is not None
-        if chosen and (history := self.model.histories[state.drive]).lacking():
+        history, number = self.model.histories[state.drive], state.object_id
+        if (number is not None or state.detection is not None) and history.lacking():
             self.worker.read_over(history)
             self._busy = True
+        elif number is not None and not self.model.grows(state.drive) and history.lacks(number):
+            self._let_go("object", f"one of the objects of {self.model.title(state.drive)}", number)
         with self.using_model:
             return over_time(self.model, state, view)
+
+    def _let_go(self, name: str, expected: str, found: int) -> None:
+        """Tell that what is selected does not exist, and select nothing."""
+        self.tell("\n".join(filter(None, (self._told, complaint("link", name, expected, found)))))
+        self.gui.main_panel.expand()
+        self.update(object_id=None, detection=None)
 
     def detect_all(self) -> None:
         """Detect in the background, in all frames, what the report of the state lacks."""
@@ -324,7 +332,7 @@ class Session:
 
     def tell(self, text: str) -> None:
         """Show a text above the controls; "" hides it."""
-        self._failed, self._told_of = False, (self.state.drive, self.state.frame)
+        self._failed, self._told, self._told_of = False, text, (self.state.drive, self.state.frame)
         self._notice.content = _quoted(text)
         self._notice.visible = bool(text)
 
@@ -443,8 +451,8 @@ class Session:
             self.stage.set_theme(state.theme)
             self.stage.cut_walls(state.cut)
             self._version = self.model.stores[state.drive].version
-            shown = self._moving(state)
-            if self.view is None:
+            shown, first = self._moving(state), self.view is None
+            if first:
                 # The browser shows it while the rest is computed and sent.
                 with self.using_model:
                     sketch = self.model.sketch(shown)
@@ -466,6 +474,10 @@ class Session:
                 self.tell("")
             # After the first points: rebuilding a city takes longer than drawing.
             self._place_world(state.drive)
+            if first and state.detection is not None and view.details is None and not view.notice:
+                known = f"0 to {view.detected - 1}" if view.detected else "none"
+                expected = f"{known}, with a score of {state.threshold:g} or more in frame {view.index}"
+                self._let_go("detection", expected, state.detection)
             self._read_ahead(state)
         except Exception as error:
             self._rest_at = None
@@ -481,7 +493,7 @@ class Session:
         parts, note = self._world_of(drive)
         self.stage.place_world(parts)
         if note:
-            self.tell(note)
+            self.tell("\n".join(filter(None, (self._told, note))))
 
     def _moving(self, state: ReviewState) -> ReviewState:
         """State with fewer points where its frame is another one than the last, until the view rests."""
@@ -551,5 +563,5 @@ class Session:
 
 
 def _quoted(text: str) -> str:
-    """Markdown that shows a text as it is, in bold."""
-    return f"**{quoted(text)}**" if text else ""
+    """Markdown that shows the lines of a text as they are, in bold."""
+    return "\n\n".join(f"**{quoted(line)}**" for line in text.splitlines() if line)

@@ -74,6 +74,13 @@ class DriveHistory:
         with self._lock:
             self._facts[row] = facts
 
+    def lacks(self, object_id: int) -> bool:
+        """Whether every frame is read, and none has an object."""
+        rows = range(getattr(self._source, "first", 0), len(self._source))
+        with self._lock:
+            read = [facts for row in rows if (facts := self._facts.get(row)) is not None]
+        return len(read) == len(rows) and not any(object_id in facts.object_id for facts in read)
+
     def of(self, object_id: int, ego_id: int) -> Seen:
         """Course of an object as far as it is read."""
         with self._lock:

@@ -95,6 +95,32 @@ def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: li
         app.close()
 
 
+@pytest.mark.parametrize(
+    ("link", "line", "frame"),
+    [
+        ("frame=40", "link: frame: expected 0 to 11, found 40", 11),
+        ("frame=4&object=77", "link: object: expected one of the objects of street, found 77", 4),
+        ("frame=4&ego=5", "link: ego: expected agents of frame 4, 1000, 1002, -1, found 5", 4),
+        ("drive=gone&frame=4&object=1003", "link: drive: expected street, found gone", 0),
+        ("frame=4&corruption=gone", "link: corruption: expected clean, ", 4),
+    ],
+)
+def test_a_link_to_what_is_gone_is_told_in_a_line_and_the_nearest_is_shown(
+    model: ReviewModel, link: str, line: str, frame: int
+) -> None:
+    app = ReviewApp(model, start_server())
+    try:
+        with open_page(f"{app.url}/?fixedDpr=1&{link}", (700, 600)) as page:
+            opened = Opened(app, page)
+            page.wait_for(f"document.body.innerText.includes({line!r})", PATIENCE_S)
+            assert opened.text().count("link: ") == 1
+            page.wait_for(f"document.body.innerText.includes('Frame {frame} ')", PATIENCE_S)
+            wait_for(lambda: opened.session.state.object_id is None)
+            assert opened.session.view.index == frame and opened.session.view.counts is not None
+    finally:
+        app.close()
+
+
 def test_a_page_of_a_running_simulation_grows() -> None:
     with live_page(LiveSource("street")) as live, open_page(f"{live.url}/?fixedDpr=1", SIZE) as page:
         (session,) = live.app.wait_session(1, PATIENCE_S)

@@ -16,6 +16,7 @@ from dsrc.review.sources.base import MemorySet
 from dsrc.review.state import ReviewState
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.page.conftest import SocketBrowser
+from tests.dsrc.review.page.session import wait_for
 
 FULL = ReviewState(
     drive=1, frame=7, ego_id=1002, cooperative=False, corruption="fog", severity=5, family="paper",
@@ -94,7 +95,6 @@ def test_drives_are_named_where_their_name_can_stand_in_an_address(two: ReviewMo
 @pytest.mark.parametrize(
     ("query", "complaint"),
     [
-        ("frame=12", "frame: expected 0 to 11, found 12"),
         ("frame=x", "frame: expected a whole number"),
         ("drive=nowhere", "drive"),
         ("score=nan", "score: expected 0 to 1"),
@@ -120,6 +120,40 @@ def test_a_wrong_part_is_told_and_the_rest_is_taken(two: ReviewModel, query: str
     state, pose, complaints = read_link(f"{query}&iou=0.7&unknown=1", two, ReviewState())
     assert state == ReviewState(iou=0.7) and pose is None
     assert len(complaints) == 1 and complaint in complaints[0]
+
+
+@pytest.mark.parametrize(
+    ("query", "shown", "told"),
+    [
+        ("frame=12", {"frame": 11}, ["frame: expected 0 to 11, found 12"]),
+        ("drive=gone&frame=5&object=1003&ego=1002&view=1,2,3,4,5,6", {}, ["drive: expected street, other street"]),
+        ("ego=5&frame=3", {"frame": 3}, ["ego: expected agents of frame 3, 1000, 1002, -1, found 5"]),
+        ("ego=5&carrier=77&sensor=vlp-16", {"sensor": "vlp-16"}, ["ego", "carrier"]),
+        ("hidden=1002,5", {"hidden": frozenset({1002, 5})}, ["hidden: expected agents of frame 0"]),
+    ],
+)
+def test_what_is_gone_is_told_and_the_nearest_is_shown(
+    two: ReviewModel, query: str, shown: dict[str, object], told: list[str]
+) -> None:
+    state, pose, complaints = read_link(query, two, ReviewState())
+    assert state == ReviewState(**shown) and pose is None
+    assert len(complaints) == len(told) and all(one in text for one, text in zip(told, complaints, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("query", "told"),
+    [
+        ("object=77", "object: expected one of the objects of street, found 77"),
+        ("detection=50", "detection: expected 0 to 4, with a score of 0.3 or more in frame 7, found 50"),
+    ],
+)
+def test_a_selection_that_does_not_exist_is_told_and_let_go(
+    app: ReviewApp, connect_browser: type[SocketBrowser], query: str, told: str
+) -> None:
+    session = connect_browser(app, f"frame=7&{query}").session
+    wait_for(lambda: session.state.object_id is None and session.state.detection is None)
+    assert session.wait_drawn().index == 7
+    assert told in session._told and session._notice.visible
 
 
 def test_another_drive_is_shown_from_its_first_frame_unless_the_link_names_one(two: ReviewModel) -> None:
