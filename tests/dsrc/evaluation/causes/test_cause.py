@@ -112,6 +112,12 @@ def test_few_points_are_counted_against_the_clean_frame() -> None:
     assert cause.kind == "few points" and cause.sentence.startswith("3 points on it; out of reach")
 
 
+@pytest.mark.parametrize(("points", "kind"), [(20, "few points"), (21, "no box")])
+def test_twenty_points_are_few_whether_or_not_a_corruption_left_them(points: int, kind: str) -> None:
+    cause = the_one(frame({**OFTEN, OPEN: (points, 0)}), [TRUCK_BOX, HIDDEN_BOX])
+    assert (cause.kind, cause.points, cause.points_left) == (kind, points, points)
+
+
 def test_a_corrupted_frame_tells_the_points_that_are_left() -> None:
     of = frame(OFTEN)
     sweep = of.agents[0].sweep
@@ -177,6 +183,16 @@ def test_a_turned_box_and_one_beside_the_object() -> None:
     assert opposite == [], "a box that faces backwards is the same box"
 
 
+def test_a_box_beside_the_object_of_too_low_a_score_is_named_where_points_are_enough() -> None:
+    weak = beside(OPEN_BOX, x=2.0, score=0.26)
+    cause = the_one(frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, weak])
+    assert (cause.kind, cause.rank, cause.score) == ("badly placed", 2, 0.26)
+    assert cause.sentence.endswith("IoU 0.38 is below 0.5, and its score 0.26 below 0.3")
+    assert the_one(frame({**OFTEN, OPEN: (9, 0)}), [TRUCK_BOX, HIDDEN_BOX, weak]).kind == "few points"
+    both = causes(frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, beside(OPEN_BOX, x=3.0), weak])
+    assert [one.rank for one in both] == [2, 2], "a box that counts comes before a better one that does not"
+
+
 def test_points_enough_and_no_box() -> None:
     cause = the_one(frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX])
     assert (cause.kind, cause.sentence) == ("no box", "no box overlaps it, with 100 points on it")
@@ -214,6 +230,37 @@ def test_false_boxes_of_snow_and_of_nothing() -> None:
     made = [one for one in causes(of, [*right, ghost], Circumstances("snow 5", snowed)) if one.error == "false"]
     assert [one.kind for one in made] == ["made by the corruption"]
     assert made[0].sentence == "score 0.50: 4 of the 6 points in it were made by snow 5"
+
+
+def test_flakes_all_over_a_box_made_it_though_a_pole_in_it_has_more_points() -> None:
+    of, right = frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, OPEN_BOX]
+    ghost, helper = ([-15.0, 5.0, 0.8, 4.0, 1.8, 1.6, 0.0], 0.5), of.agents[1].sweep
+    flakes = np.array([[-15.0 + x, 5.0 + y, -1.0] for x in np.arange(-1.8, 1.9, 0.4) for y in (-0.6, -0.2, 0.2, 0.6)])
+    for count, kind in ((40, "made by the corruption"), (8, "of nothing")):
+        points = np.concatenate([flakes[:count], np.tile([-13.2, 5.1, -1.0], (500, 1))])
+        if count == 8:
+            points[8:, :2] += np.random.default_rng(1).uniform([-3.0, -0.8], [0.0, 0.6], (500, 2))
+        fate = np.repeat(np.array([SCATTERED, KEPT], np.uint8), [count, 500])
+        snowed = of.with_sweeps([make_sweep(points, of.agents[0].sweep.world_from_lidar, 0.7, fate=fate), helper])
+        cause = the_one(of, [*right, ghost], Circumstances("snow 5", snowed))
+        assert cause.kind == kind
+        if kind == "made by the corruption":
+            assert cause.sentence == (
+                "score 0.50: 40 of the 540 points in it were made by snow 5, over 98% of the area that they cover"
+            )
+
+
+def test_a_box_made_of_the_points_of_a_road_user_is_of_it_though_they_hardly_overlap() -> None:
+    of, side = frame(OFTEN), ([15.0, 2.05, 1.0, 4.5, 1.7, 1.6, 0.0], 0.5)
+    points = np.column_stack([np.linspace(13.0, 17.0, 60), np.full(60, 1.24), np.full(60, 1.0 - LIDAR_M)])
+    ego = of.agents[0].sweep
+    seen = of.with_sweeps([make_sweep(points, ego.world_from_lidar, 0.0, object_id=[TRUCK] * 60), of.agents[1].sweep])
+    twice = the_one(seen, [TRUCK_BOX, HIDDEN_BOX, OPEN_BOX, side])
+    assert (twice.kind, twice.object_id) == ("doubled box", TRUCK)
+    missed, false = causes(seen, [HIDDEN_BOX, OPEN_BOX, side])
+    assert (missed.kind, false.kind, false.object_id) == ("no box", "badly placed", TRUCK)
+    other = the_one(seen, [HIDDEN_BOX, OPEN_BOX, side], objects=(HIDDEN, OPEN))
+    assert (other.kind, other.object_id) == ("not evaluated", TRUCK)
 
 
 def test_every_error_has_one_cause_whatever_the_threshold_and_it_goes_to_json() -> None:
