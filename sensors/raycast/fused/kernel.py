@@ -74,6 +74,16 @@ def _in_packet(width: int, part: int, row: int, lane: int) -> np.uint64:
     return (np.uint64(part) * np.uint64(RAY_ROWS) + np.uint64(row)) * np.uint64(width) + np.uint64(lane)
 
 
+@_word
+def _component(value: np.float32) -> np.float32:
+    """Return a component of a direction that Embree takes as it is.
+
+    It reads those between -1e-18 and 0 as positive in one place and as negative in another: the rays of the packet
+    that run the same way then miss what they should hit.
+    """
+    return np.float32(0.0) if np.abs(value) <= np.float32(1e-18) else value
+
+
 @_part
 def _aim(tables: Tables, scratch: Scratch, ring: int, block: int, subray: int) -> None:
     """Point the rays of a block in the sensor frame, jitter included."""
@@ -110,7 +120,7 @@ def _turn_each(sights: Sights, scratch: Scratch, bend: int) -> None:
         for axis in range(3):
             m, d = sights.bent[bend, at, axis], sights.bent_step[bend, at, axis]
             room[_in_packet(width, part, axis, lane)] = m[3] + f * d[3]
-            room[_in_packet(width, part, _DIRECTION + axis, lane)] = (
+            room[_in_packet(width, part, _DIRECTION + axis, lane)] = _component(
                 (m[0] + f * d[0]) * x + (m[1] + f * d[1]) * y + (m[2] + f * d[2]) * z
             )
 
@@ -130,7 +140,7 @@ def _trace(world: World, sights: Sights, scratch: Scratch, entry: int) -> None:
                 f = room[_at(_LANE, 0, at)]
                 x, y, z = room[_at(_AIM, 0, at)], room[_at(_AIM, 1, at)], room[_at(_AIM, 2, at)]
                 room[_in_packet(width, part, axis, lane)] = m3 + f * d3
-                room[_in_packet(width, part, _DIRECTION + axis, lane)] = (
+                room[_in_packet(width, part, _DIRECTION + axis, lane)] = _component(
                     (m0 + f * d0) * x + (m1 + f * d1) * y + (m2 + f * d2) * z
                 )
     if sights.bend[entry] >= 0:
@@ -499,7 +509,7 @@ def cast_rays(
                 at = min(base + lane, stop - 1)
                 for axis in range(3):
                     room[_in_packet(width, 0, axis, lane)] = origins[at, axis]
-                    room[_in_packet(width, 0, 4 + axis, lane)] = directions[at, axis]
+                    room[_in_packet(width, 0, 4 + axis, lane)] = _component(directions[at, axis])
                 room[_in_packet(width, 0, 3, lane)] = np.float32(0.0)
                 room[_in_packet(width, 0, 7, lane)] = np.float32(0.0)
                 room[_in_packet(width, 0, 8, lane)] = distance[at]

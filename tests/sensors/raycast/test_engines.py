@@ -219,6 +219,17 @@ def rays(directions: ArrayLike) -> np.ndarray:
     return (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).astype(np.float32)
 
 
+@pytest.mark.parametrize("across", [0.0, 1e-20, -1e-20])
+def test_a_ray_along_an_axis_costs_its_neighbours_no_hit(engine: Engine, across: float) -> None:
+    """Embree's packets take tiny negative components for positive ones; six of these rays missed."""
+    y = np.linspace(-0.02, 0.04, 16)
+    y[5] = across
+    along = np.column_stack([np.ones(16), y, np.full(16, -0.07)]).astype(np.float32)
+    origins = np.tile(np.float32([-6.5, -5e-4, 0.4]), (16, 1))
+    sphere = solid_of(trimesh.creation.icosphere(3, 2.0))
+    assert (engine.cast(sphere, origins, along, np.full(16, 50.0, np.float32)).face >= 0).all()
+
+
 def test_distances_to_a_box_from_inside_are_exact(engine: Engine) -> None:
     mesh = trimesh.creation.box((4.0, 6.0, 8.0))
     directions = rays([[1, 0, 0], [0, 1, 0], [0, 0, -1]])
