@@ -43,7 +43,7 @@ STAGES: dict[str, tuple[str, ...]] = {
     "visibility": ("sensors.recording.rig.visible_fraction", "sensors.recording.rig.lines_of_sight"),
     "encode": (
         "dsrc.data.formats.opv2v.reader.deskew_frame",
-        "dsrc.data.formats.opv2v.reader.encode_pcd",
+        "dsrc.data.formats.pcd.records_of",
         "dsrc.data.formats.opv2v.reader.encode_compact",
         "dsrc.data.formats.opv2v.reader.encode_agent",
     ),

@@ -335,7 +335,9 @@ def count_points(sweep: Sweep, object_ids: NDArray[np.int64]) -> NDArray[np.int3
     """Return (N,) points of the sweep on each object of `object_ids` (N, sorted ascending)."""
     if len(object_ids) == 0:
         return np.zeros(0, np.int32)
-    slot = np.searchsorted(object_ids, sweep.object_id)
-    slot[slot == len(object_ids)] = 0
-    hit = object_ids[slot] == sweep.object_id
-    return np.bincount(slot[hit], minlength=len(object_ids)).astype(np.int32)
+    # Neighbours in a sweep mostly lie on the same object.
+    start = np.flatnonzero(np.diff(sweep.object_id, prepend=sweep.object_id[:1] - 1))
+    found, points = sweep.object_id[start], np.diff(start, append=len(sweep))
+    slot = np.minimum(np.searchsorted(object_ids, found), len(object_ids) - 1)
+    on = object_ids[slot] == found
+    return np.bincount(slot[on], points[on], len(object_ids)).astype(np.int32)

@@ -46,6 +46,9 @@ _HASH = re.compile(r"[0-9a-f]{32}")
 _CACHES = ("cells", "episodes", "encounters", "worlds", "causes")
 """Folders of cached results: elsewhere others have names like these, as nuScenes has."""
 
+Content = bytes | bytearray | str | Iterator[bytes | bytearray]
+"""Content of a file, whole or in parts, one after the other."""
+
 _overwrite: ContextVar[bool] = ContextVar("overwrite", default=False)
 
 
@@ -148,10 +151,16 @@ def _holds(path: Path, content: bytes) -> bool:
         return False
 
 
-def write_file(path: Path, content: bytes | bytearray | str, *, edited: bool = False) -> None:
+def write_file(path: Path, content: Content, *, edited: bool = False) -> None:
     """Write a file atomically, text as UTF-8; see `replacing`."""
-    with replacing(path, edited=edited) as temporary:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+    with replacing(path, edited=edited) as temporary, temporary.open("wb") as file:
+        file.writelines(parts_of(content))
+
+
+def parts_of(content: Content) -> Iterator[bytes | bytearray]:
+    """Return the parts of a content, text as UTF-8."""
+    whole = content.encode() if isinstance(content, str) else content
+    return iter([whole]) if isinstance(whole, bytes | bytearray) else whole
 
 
 @contextmanager

@@ -39,7 +39,7 @@ def test_sixty_vehicles_of_which_five_scan_keep_the_makers_of_drives_busy() -> N
     clock = Clock()
     with clock.watching():
         opv2v = import_module("dsrc.data.formats.opv2v.reader")
-        opv2v.encode_pcd(toy_frame(0).agents[0].sweep)
+        list(opv2v.encode_pcd(toy_frame(0).agents[0].sweep))
     assert clock.seconds["encode"] > 0.0 and set(clock.seconds) == {"encode"}
     assert set(STAGES) | {"traffic", "write"} == {"traffic", "tracing", "visibility", "encode", "write"}
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sim.errors import DataError, complaint
-from sim.files import file_sha256, write_file
+from sim.files import Content, file_sha256, parts_of, write_file
 from sim.reading import read_text
 from sim.roads.cache import cache_folder
 
@@ -22,10 +22,17 @@ class Written:
     def __init__(self) -> None:
         self._sums: dict[Path, tuple[tuple[int, ...], str]] = {}
 
-    def write(self, path: Path, content: bytes | bytearray) -> None:
+    def write(self, path: Path, content: Content) -> None:
         """Write a file atomically, and note its SHA-256 once it is there."""
-        write_file(path, content)
-        self._sums[path] = _state(path), hashlib.sha256(content).hexdigest()
+        digest = hashlib.sha256()
+
+        def hashed() -> Iterator[bytes | bytearray]:
+            for part in parts_of(content):
+                digest.update(part)
+                yield part
+
+        write_file(path, hashed())
+        self._sums[path] = _state(path), digest.hexdigest()
 
     def sha256(self, path: Path) -> str:
         """Return the SHA-256 of a file; one that others have written, before or since, is read."""

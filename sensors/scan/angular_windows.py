@@ -1,109 +1,90 @@
-"""Angular windows: rings and columns of a sweep that can meet a box."""
+"""Angular windows: rings and columns of a sweep that can meet a hull, in compiled loops."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensors.compiled import compiled
+
 _MARGIN_RAD = np.radians(0.2)
-_SUPPORT = np.linspace(0.0, 1.0, 7)
+_DIRECTIONS = 7
 _TURN = 2.0 * np.pi
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Arcs:
-    """N azimuths from `start` on, `width` wide, counter-clockwise, rad: (N,) float64; a width of 2 pi is all."""
-
-    start: Array
-    width: Array
-
-    def columns(self, azimuth: Array, spread: float) -> tuple[Ints, Ints, Ints]:
-        """Return the runs of columns that look into the arcs.
-
-        Args:
-            azimuth: (C,) of the columns, ascending or descending over at most one turn, rad.
-            spread: most that a ray leaves its column's azimuth, rad.
-
-        Returns:
-            (K,) arc, first column and column after the last of each run, in the order of the arcs; an arc that the
-            field of view cuts in two has two runs.
-        """
-        low = self.start - spread
-        width = self.width[:, None] + 2.0 * spread
-        turn = np.ceil((min(azimuth[0], azimuth[-1]) - low - width[:, 0]) / _TURN)
-        start = low[:, None] + _TURN * (turn[:, None] + np.arange(3.0))
-        first, after = _between(azimuth, start, start + width)
-        arc, slot = np.nonzero(after > first)
-        return arc, first[arc, slot], after[arc, slot]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AngularWindows:
-    """Angles spanned by N sets of points as seen from the origin of the sensor frame.
+class Angles(NamedTuple):
+    """Angles spanned by a hull as seen from the origin of the sensor frame.
 
     Attributes:
-        arcs: azimuths, all around where the sensor is above, below or within.
-        low, high: (N,) elevations, rad.
-        near: (N,) lower bound of the horizontal distance, m.
+        start, width: azimuths from `start` on, counter-clockwise, rad; a width of 2 pi is all.
+        low, high: elevations, rad.
+        near: lower bound of the horizontal distance, m.
     """
 
-    arcs: Arcs
-    low: Array
-    high: Array
-    near: Array
-
-    def rings(self, elevation: Array, spread: float) -> tuple[Ints, Ints]:
-        """Return (N,) the first ring that looks into each window and the ring after the last.
-
-        Args:
-            elevation: (R,) of the rings, descending, rad.
-            spread: most that a ray leaves its ring's elevation, rad.
-        """
-        return _between(elevation, self.low - spread, self.high + spread)
+    start: float
+    width: float
+    low: float
+    high: float
+    near: float
 
 
-def angular_windows(points: Array) -> AngularWindows:
-    """Return the windows of the convex hulls of (N, K, 3) points in the sensor frame; never too small."""
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
-    arcs = arcs_of(x, y, np.zeros((len(points), 1)))
-    # A hull's distance is the largest, over all directions, of its support's smallest projection: each direction
-    # gives a lower bound, so a few of them give a good one.
-    toward = arcs.start[:, None] + arcs.width[:, None] * _SUPPORT
-    along = x[:, None] * np.cos(toward)[..., None] + y[:, None] * np.sin(toward)[..., None]
-    near = np.where(arcs.width < _TURN, np.maximum(along.min(axis=2).max(axis=1), 0.0), 0.0)
-    far = np.sqrt((x * x + y * y).max(axis=1))
-    bottom, top = z.min(axis=1), z.max(axis=1)
-    return AngularWindows(
-        arcs=arcs,
-        low=np.arctan2(bottom, np.where(bottom < 0.0, near, far)) - _MARGIN_RAD,
-        high=np.arctan2(top, np.where(top > 0.0, near, far)) + _MARGIN_RAD,
-        near=near,
-    )
+@compiled()
+def arc_of(x: Array, y: Array, radius: float) -> tuple[float, float]:
+    """Return start and width of the azimuths that the convex hull of (K,) discs spans; never too small.
 
-
-def arcs_of(x: Array, y: Array, radius: Array) -> Arcs:
-    """Return the arcs that the convex hulls of discs span as seen from the origin; never too small.
-
-    Args:
-        x: (N, K) middles of the K discs of each hull, m.
-        radius: (N, K or 1) of the discs, m.
+    All around where the origin is above, below or within.
     """
     # If the hull leaves out the origin, all of it lies less than a quarter turn from its middle.
-    middle_x, middle_y = x.sum(axis=1, keepdims=True), y.sum(axis=1, keepdims=True)
-    ahead, aside = middle_x * x + middle_y * y, middle_x * y - middle_y * x
-    angle = np.arctan2(aside, ahead)
-    half = np.arcsin(np.minimum(radius / np.maximum(np.sqrt(x * x + y * y), 1e-9), 1.0))
-    right, left = (angle - half).min(axis=1) - _MARGIN_RAD, (angle + half).max(axis=1) + _MARGIN_RAD
-    start = np.arctan2(middle_y, middle_x)[:, 0] + right
-    return Arcs(start, np.where(left - right < np.pi, left - right, _TURN))
+    middle_x, middle_y = x.sum(), y.sum()
+    right, left = np.inf, -np.inf
+    for disc in range(len(x)):
+        ahead, aside = middle_x * x[disc] + middle_y * y[disc], middle_x * y[disc] - middle_y * x[disc]
+        distance = max(np.sqrt(x[disc] * x[disc] + y[disc] * y[disc]), 1e-9)
+        angle, half = np.arctan2(aside, ahead), np.arcsin(min(radius / distance, 1.0))
+        right, left = min(right, angle - half), max(left, angle + half)
+    right, left = right - _MARGIN_RAD, left + _MARGIN_RAD
+    return np.arctan2(middle_y, middle_x) + right, left - right if left - right < np.pi else _TURN
 
 
-def _between(angles: Array, low: Array, high: Array) -> tuple[Ints, Ints]:
-    """Return first and after-last index of monotonic angles within [low, high]."""
+@compiled()
+def angles_of(points: Array) -> Angles:
+    """Return the angles of the convex hull of (K, 3) points in the sensor frame; never too small."""
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    start, width = arc_of(x, y, 0.0)
+    near, bottom, top = 0.0, z.min(), z.max()
+    # A hull's distance is the largest, over all directions, of its support's smallest projection: each direction
+    # gives a lower bound, so a few of them give a good one.
+    for part in range(_DIRECTIONS if width < _TURN else 0):
+        toward = start + width * part / (_DIRECTIONS - 1)
+        near = max(near, (x * np.cos(toward) + y * np.sin(toward)).min())
+    far = np.sqrt((x * x + y * y).max())
+    low = np.arctan2(bottom, near if bottom < 0.0 else far) - _MARGIN_RAD
+    return Angles(start, width, low, np.arctan2(top, near if top > 0.0 else far) + _MARGIN_RAD, near)
+
+
+@compiled()
+def between(angles: Array, low: float, high: float) -> tuple[int, int]:
+    """Return the first row of monotonic angles within [low, high] and the one after the last."""
     if angles[0] <= angles[-1]:
-        return np.searchsorted(angles, low, "left"), np.searchsorted(angles, high, "right")
+        return int(np.searchsorted(angles, low, "left")), int(np.searchsorted(angles, high, "right"))
     up = angles[::-1]
-    return len(up) - np.searchsorted(up, high, "right"), len(up) - np.searchsorted(up, low, "left")
+    return len(up) - int(np.searchsorted(up, high, "right")), len(up) - int(np.searchsorted(up, low, "left"))
+
+
+@compiled()
+def runs_of(azimuth: Array, start: float, width: float, spread: float) -> list[tuple[int, int]]:
+    """Return the runs of columns that look into an arc, first column and the one after the last.
+
+    Args:
+        azimuth: (C,) of the columns, ascending or descending over at most one turn, rad.
+        spread: most that a ray leaves its column's azimuth, rad.
+
+    Returns:
+        None to three; two for an arc that the field of view cuts.
+    """
+    low, wide = start - spread, width + 2.0 * spread
+    turn = np.ceil((min(azimuth[0], azimuth[-1]) - low - wide) / _TURN)
+    found = [between(azimuth, low + _TURN * (turn + i), low + _TURN * (turn + i) + wide) for i in range(3)]
+    return [(first, after) for first, after in found if after > first]

@@ -11,6 +11,7 @@ ground-truth box at `time_s` sits in the middle of the smear. `sensors.deskew` g
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
@@ -28,7 +29,7 @@ from sim.errors import DataError, SettingsError, complaint
 from sim.machine import core_count
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Sensor:
     """LiDAR during one sweep: settings, path, time and random numbers.
 
@@ -100,27 +101,41 @@ def scan(
     return scan_all(scene, [Sensor(spec, path, time_s, rng, exclude_id)], wetness=wetness)[0]
 
 
-def sweep_request(sensor: Sensor, wetness: float = 0.0) -> SweepRequest:
-    """Return the request of one sweep to a ray-casting engine, with noise drawn from the sensor's generator.
+def sweep_request(sensor: Sensor, wetness: float = 0.0, rng: np.random.Generator | None = None) -> SweepRequest:
+    """Return the request of one sweep to a ray-casting engine.
+
+    Args:
+        rng: where the noise is drawn from; left out: the sensor's generator.
 
     Raises:
         DataError: NaN or infinity in a path.
     """
     spec = sensor.spec
-    beams = beams_of(spec, sensor.time_s)
-    knots, pose = _poses(spec, beams, sensor.path, sensor.time_s)
-    if not np.isfinite(knots).all():
-        raise DataError(complaint(f"sensor '{spec.name}'", "path", "finite poses", "NaN or infinity"))
+    beams, knots, pose = _aimed.get(sensor) or _aim(sensor)
     return SweepRequest(
         spec=spec,
         beams=beams,
         optics=optics_of(spec, wetness),
-        noise=draw_noise(beams, sensor.rng),
+        noise=draw_noise(beams, sensor.rng if rng is None else rng),
         knots=knots,
         pose=pose,
         time_s=sensor.time_s,
         hidden_id=None if spec.own_body else sensor.rides_on,
     )
+
+
+_Aim = tuple[Beams, NDArray[np.float64], NDArray[np.float64]]
+_aimed: WeakKeyDictionary[Sensor, _Aim] = WeakKeyDictionary()
+"""Beams and poses of sensors whose sweep was requested: visibility asks for them again."""
+
+
+def _aim(sensor: Sensor) -> _Aim:
+    beams = beams_of(sensor.spec, sensor.time_s)
+    knots, pose = _poses(sensor.spec, beams, sensor.path, sensor.time_s)
+    if not np.isfinite(knots).all():
+        raise DataError(complaint(f"sensor '{sensor.spec.name}'", "path", "finite poses", "NaN or infinity"))
+    _aimed[sensor] = beams, knots, pose
+    return beams, knots, pose
 
 
 def _poses(spec: LidarSpec, beams: Beams, path: Path, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

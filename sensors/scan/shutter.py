@@ -1,14 +1,12 @@
-"""Rolling shutter: poses of a sensor at its firings, in the world and in the frames of moving bodies."""
+"""Rolling shutter: poses of a sensor at its firings."""
 
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sensors.motion import Path
 from sensors.optics.beams import BLOCK, Beams, Fan
-from sensors.raycast.base import Bodies, SweepRequest
-from sim.geometry import pose_matrix
+from sensors.raycast.base import SweepRequest
 
 _STEP_S = 1e-3
 """Longest linear interpolation of poses, s: 0.05 mm off at 50 m for a body that turns at 3 rad/s."""
@@ -75,31 +73,3 @@ class Shutter:
         block = np.clip(column // BLOCK, 0, len(knots) - 2).astype(np.int64)
         share = (column / BLOCK - block)[:, None, None]
         return knots[block] + share * (knots[block + 1] - knots[block])
-
-    def places(self, bodies: Bodies, rows: NDArray[np.int64], column: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (N, K, 3) places of (N,) bodies in the world at (K,) moments."""
-        knot, share = self._on_path(bodies.path, column)
-        xyz = bodies.path.xyz[rows]
-        return (1.0 - share) * xyz[:, knot] + share * xyz[:, knot + 1]
-
-    def body_from_lidar(
-        self, bodies: Bodies, rows: NDArray[np.int64], column: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return (N, 3, 4) body_from_lidar of (N,) bodies, each at its own of (N,) moments."""
-        path = bodies.path
-        knot, share = self._on_path(path, column)
-        xyz, angles = (
-            (1.0 - share) * values[rows, knot] + share * values[rows, knot + 1] for values in (path.xyz, path.angles)
-        )
-        rotation = pose_matrix(xyz, angles[:, 0], angles[:, 1], angles[:, 2])[:, :3, :3]
-        sensor = self.sensor(column)
-        sensor[:, :, 3] -= xyz
-        return np.swapaxes(rotation, 1, 2) @ sensor
-
-    def _on_path(self, path: Path, column: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return (N,) knots of a path before moments and (N, 1) shares of the way to the next."""
-        request = self._request
-        time_s = request.time_s + (column - 0.5 * request.beams.columns) * request.spec.column_s
-        knot = np.clip(np.searchsorted(path.time_s, time_s, side="right") - 1, 0, len(path.time_s) - 2)
-        start, end = path.time_s[knot], path.time_s[knot + 1]
-        return knot, np.clip((time_s - start) / (end - start), 0.0, 1.0)[:, None]

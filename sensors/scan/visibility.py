@@ -13,17 +13,16 @@ sample, within one or two hundredths.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensors.raycast import SweepRequest
-from sensors.scan.body_windows import body_poses, body_windows
+from sensors.scan.body_windows import body_windows, motion_of
 from sensors.scan.lidar import Sensor, sweep_request
 from sensors.scan.scene import RayScene
 from sensors.scan.shutter import Shutter, beam_axes
-from sensors.scan.visibility_kernel import Windows, aim_rays, choose_rays, nearest_hits, seen_shares
+from sensors.scan.visibility_kernel import Windows, aim_rays, body_poses, choose_rays, nearest_hits, seen_shares
 
 _TOUCH_M = 0.02
 """Least distance behind the static world at which a body counts as hidden, m: tyres touch the road."""
@@ -54,7 +53,7 @@ def visible_fraction(scene: RayScene, sensors: Sequence[Sensor], object_id: NDAr
     rows = np.array([row_of.get(number, -1) for number in np.asarray(object_id).tolist()], np.int64)
     known = np.flatnonzero(rows >= 0)
     for number, sensor in enumerate(sensors):
-        request = sweep_request(replace(sensor, rng=np.random.default_rng(0)))
+        request = sweep_request(sensor, rng=np.random.default_rng(0))
         share[number, known] = _shares(scene, request)[rows[known]]
     return share
 
@@ -63,10 +62,12 @@ def _shares(scene: RayScene, request: SweepRequest) -> Floats:
     """Return (B,) fractions of the scene's bodies, NaN where undefined."""
     beams, bodies = request.beams, scene.bodies
     shutter = Shutter(request, bodies.path.time_s)
-    windows = body_windows(request, shutter, bodies)
+    motion = motion_of(request, bodies)
+    windows = body_windows(request, motion, bodies)
     lead, widest = _lead(request)
     ring, row, own, count = choose_rays(windows, _strides(windows, widest), lead, widest, beams.columns)
-    origin, direction = _aim(request, shutter, *body_poses(shutter, bodies, windows), ring, windows.column, row)
+    pose, before = body_poses(motion, shutter.border, shutter.segment, windows)
+    origin, direction = _aim(request, shutter, pose, before, ring, windows.column, row)
     solids = [bodies.solids[body] for body in windows.body]
     hits = scene.engine.cast_each(solids, count.tolist(), origin, direction, beams.reach[ring, 1])
     ray = ring * beams.columns + windows.column[row]

@@ -1,4 +1,4 @@
-"""Compiled loops of the visible fraction: rays at bodies chosen, aimed and counted.
+"""Compiled loops of the visible fraction: windows of bodies; rays at them chosen, aimed and counted.
 
 Shapes: R rings, C columns, V windows, c columns of all windows, K rays.
 """
@@ -9,9 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.compiled import compiled
+from sensors.optics.beams import BLOCK
+from sensors.scan import angular_windows
+from sensors.scan.angular_windows import angles_of, arc_of, between, runs_of
 
 _GOLDEN = 0.6180339887
+_GROW_M = 0.05
+_loop = compiled(angular_windows)
 
+Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -35,7 +41,141 @@ class Windows(NamedTuple):
     column: Ints
 
 
-@compiled()
+class Motion(NamedTuple):
+    """Motion of a sensor among N bodies during a sweep.
+
+    Attributes:
+        knots: (B + 1, 3, 4) see `sensors.raycast.SweepRequest`.
+        columns: C.
+        time_s, column_s: middle of the sweep, and from a column to the next, s.
+        times, xyz, angles: (K,), (N, K, 3) and (N, K, 3) path of the bodies, see `sensors.motion.Path`.
+        size: (N, 3) of the bodies, m.
+    """
+
+    knots: Doubles
+    columns: int
+    time_s: float
+    column_s: float
+    times: Doubles
+    xyz: Doubles
+    angles: Doubles
+    size: Doubles
+
+
+@_loop
+def _sensor_at(motion: Motion, column: float, pose: Doubles) -> None:
+    """Write the (3, 4) world_from_lidar at a moment, in columns since the start."""
+    block = min(max(int(column // BLOCK), 0), len(motion.knots) - 2)
+    start, end = motion.knots[block], motion.knots[block + 1]
+    pose[:] = start + (column / BLOCK - block) * (end - start)
+
+
+@_loop
+def _knot_at(motion: Motion, column: float) -> tuple[int, float]:
+    """Return the knot of the bodies' path before a moment, and the share of the way to the next."""
+    time_s = motion.time_s + (column - 0.5 * motion.columns) * motion.column_s
+    times, knot = motion.times, 0
+    while knot < len(times) - 2 and times[knot + 1] <= time_s:
+        knot += 1
+    return knot, min(max((time_s - times[knot]) / (times[knot + 1] - times[knot]), 0.0), 1.0)
+
+
+@_loop
+def body_from_lidar(motion: Motion, body: int, column: float, pose: Doubles) -> None:
+    """Write the (3, 4) body_from_lidar at a moment, in columns since the start."""
+    knot, share = _knot_at(motion, column)
+    xyz = (1.0 - share) * motion.xyz[body, knot] + share * motion.xyz[body, knot + 1]
+    yaw, pitch, roll = (1.0 - share) * motion.angles[body, knot] + share * motion.angles[body, knot + 1]
+    cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+    _sensor_at(motion, column, pose)
+    pose[:, 3] -= xyz
+    for side in range(4):
+        x, y, z = pose[0, side], pose[1, side], pose[2, side]
+        # The axes of the body in the world are the rows of the inverse rotation.
+        pose[0, side] = cy * cp * x + sy * cp * y - sp * z
+        pose[1, side] = (cy * sp * sr - sy * cr) * x + (sy * sp * sr + cy * cr) * y + cp * sr * z
+        pose[2, side] = (cy * sp * cr + sy * sr) * x + (sy * sp * cr - cy * sr) * y + cp * cr * z
+
+
+@_loop
+def _arc_of_body(motion: Motion, body: int, pose: Doubles, place: Doubles) -> tuple[float, float]:
+    """Return start and width of the azimuths that hold a body during the whole sweep."""
+    length, width, height = motion.size[body]
+    for moment in range(3):
+        column = 0.5 * moment * motion.columns
+        knot, share = _knot_at(motion, column)
+        _sensor_at(motion, column, pose)
+        away = (1.0 - share) * motion.xyz[body, knot] + share * motion.xyz[body, knot + 1] - pose[:, 3]
+        for axis in range(2):
+            place[axis, moment] = pose[0, axis] * away[0] + pose[1, axis] * away[1] + pose[2, axis] * away[2]
+    # A sphere around the middle of the footprint that holds the box however it leans.
+    radius = np.sqrt(0.25 * (length * length + width * width) + height * height) + _GROW_M
+    return arc_of(place[0], place[1], radius)
+
+
+@_loop
+def corners_of(motion: Motion, body: int, first: float, after: float) -> Doubles:
+    """Return (24, 3) corners of a body's box in the sensor frame, at three moments of some columns."""
+    pose, corners = np.zeros((3, 4)), np.zeros((24, 3))
+    for row in range(24):
+        if row % 8 == 0:
+            body_from_lidar(motion, body, first + (after - first) * 0.5 * (row // 8), pose)
+        x = (motion.size[body, 0] + _GROW_M) * (0.5 if row & 4 else -0.5) - pose[0, 3]
+        y = (motion.size[body, 1] + _GROW_M) * (0.5 if row & 2 else -0.5) - pose[1, 3]
+        z = (motion.size[body, 2] + _GROW_M if row & 1 else 0.0) - 0.5 * _GROW_M - pose[2, 3]
+        for axis in range(3):
+            corners[row, axis] = x * pose[0, axis] + y * pose[1, axis] + z * pose[2, axis]
+    return corners
+
+
+@_loop
+def fan_windows(motion: Motion, bodies: Ints, azimuth: Doubles, elevation: Doubles, spread: float) -> Windows:
+    """Return the windows of (N,) bodies in a sweep of columns and rings; see `sensors.optics.beams.Fan`."""
+    pose, place = np.zeros((3, 4)), np.zeros((2, 3))
+    found = [(0, 0, 0, 0, 0) for _ in range(0)]
+    for body in bodies:
+        start, width = _arc_of_body(motion, body, pose, place)
+        for first, after in runs_of(azimuth, start, width, spread):
+            # Only these columns can meet the body, so only its poses while they fire matter.
+            angles = angles_of(corners_of(motion, body, first, after))
+            top, bottom = between(elevation, angles.low - spread, angles.high + spread)
+            for left, right in runs_of(azimuth, angles.start, angles.width, spread):
+                if min(right, after) > max(left, first) and bottom > top:
+                    found.append((body, top, bottom, max(left, first), min(right, after)))
+    rows = np.array([row for window in found for row in window], np.int64).reshape(-1, 5).T.copy()
+    end = np.cumsum(rows[4] - rows[3])
+    column = np.array([column for window in found for column in range(window[3], window[4])], np.int64)
+    return Windows(rows[0], rows[1], rows[2], end - (rows[4] - rows[3]), end, column)
+
+
+@_loop
+def body_poses(motion: Motion, border: Doubles, segment: Ints, windows: Windows) -> tuple[Floats, Ints]:
+    """Return the sensor's poses in the frames of the bodies.
+
+    Args:
+        border, segment: see `sensors.scan.shutter.Shutter`.
+
+    Returns:
+        (N, 3, 4) float32 poses at the borders around each window's columns, window by window; (c,) row in them of the
+        border before each column.
+    """
+    before, count = segment[windows.column], 0
+    for window in range(len(windows.body)):
+        inside = before[windows.start[window] : windows.end[window]]
+        count += inside.max() - inside.min() + 2
+    poses, pose, row = np.zeros((count, 3, 4), np.float32), np.zeros((3, 4)), 0
+    for window in range(len(windows.body)):
+        inside = before[windows.start[window] : windows.end[window]]
+        first, last = inside.min(), inside.max() + 1
+        inside += row - first
+        for at in range(first, last + 1):
+            body_from_lidar(motion, windows.body[window], border[at], pose)
+            poses[row] = pose
+            row += 1
+    return poses, before
+
+
+@_loop
 def choose_rays(
     windows: Windows, stride: Ints, lead: NDArray[np.float64], widest: float, columns: int
 ) -> tuple[Ints, Ints, Flags, Ints]:
@@ -80,7 +220,7 @@ def choose_rays(
     return rings[:found], rows[:found], own[:found], count
 
 
-@compiled()
+@_loop
 def aim_rays(
     pose: Floats, before: Ints, timing: Floats, axes: Floats, share: Floats, ring: Ints, column: Ints, row: Ints
 ) -> tuple[Floats, Floats]:
@@ -120,7 +260,7 @@ def aim_rays(
     return origin, direction
 
 
-@compiled()
+@_loop
 def nearest_hits(ray: Ints, face: NDArray[np.int32], distance: Floats, rays: int) -> Floats:
     """Return (rays,) distance of the nearest body that each ray meets, inf where it meets none."""
     nearest = np.full(rays, np.float32(np.inf))
@@ -130,7 +270,7 @@ def nearest_hits(ray: Ints, face: NDArray[np.int32], distance: Floats, rays: int
     return nearest
 
 
-@compiled()
+@_loop
 def seen_shares(
     body: Ints,
     count: Ints,

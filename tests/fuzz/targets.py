@@ -132,7 +132,7 @@ def _drives(folder: Path) -> list[Target]:
 def _clouds(folder: Path) -> list[Target]:
     sweep = toy_frame(0, points=30).agents[0].sweep
     binary, text, compact = folder / "binary.pcd", folder / "text.pcd", folder / "points.compact"
-    binary.write_bytes(encode_pcd(sweep))
+    binary.write_bytes(b"".join(encode_pcd(sweep)))
     compact.write_bytes(encode_compact(sweep))
     head = (
         "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\n"

@@ -34,7 +34,7 @@ from sensors.frame import AgentFrame, Frame
 from sensors.sweep import Sweep
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
-from sim.files import write_file
+from sim.files import Content, write_file
 from sim.geometry import invert, transform_points
 
 VERSION = 1
@@ -78,7 +78,7 @@ class DairWriter:
         seen = (counts >= 1) & (frame.truth.object_id != np.array([[a.agent_id] for a in (vehicle, infrastructure)]))
         front = np.stack([_before(frame.truth, sweep) for sweep in (vehicle.sweep, virtual)]) & seen
         hidden = occlusion(frame.visible_fraction[rows])
-        content: dict[str, bytes | bytearray] = {
+        content: dict[str, Content] = {
             f"{_VEHICLE}/velodyne/{stem}.pcd": encode_sensor_pcd(vehicle.sweep),
             f"{_INFRASTRUCTURE}/velodyne/{stem}.pcd": encode_sensor_pcd(virtual),
         }

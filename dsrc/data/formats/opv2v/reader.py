@@ -36,7 +36,7 @@ from sensors.frame import AgentFrame, AgentKind, Frame, agent_order
 from sensors.sweep import Motion, Sweep
 from sim.boxes import concatenate
 from sim.errors import DataError, complaint, did_you_mean, notice
-from sim.files import write_file
+from sim.files import Content, write_file
 
 PROTOCOL = "data_protocol.yaml"
 Clouds = Literal["pcd", "compact"]
@@ -103,7 +103,7 @@ def write_frame(
     plans: dict[int, NDArray[np.float64]] | None = None,
     motion: Motion | None = None,
     clouds: Clouds = "pcd",
-    write: Callable[[Path, bytes | bytearray], None] = write_file,
+    write: Callable[[Path, Content], None] = write_file,
 ) -> None:
     """Write one frame of all agents, each file atomically.
 
@@ -125,7 +125,6 @@ def write_frame(
         encode_agent(frame, row, connected_vehicles, plans.get(agent.agent_id))
         for row, agent in enumerate(frame.agents)
     ]
-    # A cloud is written and hashed while it is in the processor's cache.
     for agent, text in zip(frame.agents, texts, strict=True):
         points, notes = frame_files(drive, [agent.agent_id], frame.index, clouds)
         write(points, encode_compact(agent.sweep) if clouds == "compact" else encode_pcd(agent.sweep))

@@ -29,7 +29,7 @@ DATA ascii
 
 @pytest.fixture
 def written(tmp_path: Path) -> Path:
-    (tmp_path / "000000.pcd").write_bytes(encode_pcd(toy_frame(0).agents[0].sweep))
+    (tmp_path / "000000.pcd").write_bytes(b"".join(encode_pcd(toy_frame(0).agents[0].sweep)))
     return tmp_path / "000000.pcd"
 
 
@@ -51,7 +51,7 @@ def test_opv2v_finds_a_left_handed_cloud_with_red_intensity(written: Path) -> No
 
 
 def test_an_empty_sweep_is_a_valid_file(tmp_path: Path) -> None:
-    (tmp_path / "a.pcd").write_bytes(encode_pcd(make_sweep(np.zeros((0, 3)))))
+    (tmp_path / "a.pcd").write_bytes(b"".join(encode_pcd(make_sweep(np.zeros((0, 3))))))
     assert len(read_pcd(tmp_path / "a.pcd")) == 0
 
 
@@ -170,7 +170,7 @@ def test_infinite_intensity_and_a_missing_file_are_refused(written: Path) -> Non
     sweep = read_pcd(written)
     bad = sweep.intensity.copy()
     bad[3] = np.inf
-    written.write_bytes(encode_pcd(replace(sweep, intensity=bad)))
+    written.write_bytes(b"".join(encode_pcd(replace(sweep, intensity=bad))))
     with pytest.raises(DataError, match="intensity of point 3"):
         read_pcd(written)
     with pytest.raises(DataError, match="file not found"):
@@ -246,7 +246,7 @@ def test_a_real_sensors_file_is_not_mirrored_and_marks_lost_beams_by_nan(tmp_pat
 
 def test_a_sweep_survives_the_form_of_real_sensors_bit_for_bit(tmp_path: Path) -> None:
     sweep = toy_frame(0).agents[0].sweep
-    (tmp_path / "a.pcd").write_bytes(encode_sensor_pcd(sweep))
+    (tmp_path / "a.pcd").write_bytes(b"".join(encode_sensor_pcd(sweep)))
     back = read_pcd(tmp_path / "a.pcd", mirrored=False, full_scale=256.0)
     for name in POINT_FIELDS:
         assert np.array_equal(getattr(back, name), getattr(sweep, name)), name
@@ -261,4 +261,4 @@ def test_records_hold_every_column_to_the_bit() -> None:
     for field, column in pcd.COLUMNS.items():
         table[field] = getattr(sweep, column)
     table["rgb"] = np.round(sweep.intensity * 255.0).astype(np.uint32) << 16
-    assert encode_pcd(sweep) == encode_table(table)
+    assert b"".join(encode_pcd(sweep)) == encode_table(table)

@@ -96,7 +96,7 @@ def test_a_smooth_sweep_takes_a_quarter_of_the_bytes_of_a_pcd() -> None:
     far = 20 + 5 * np.sin(3 * angle) + np.random.default_rng(0).normal(0, 0.02, len(angle))
     points = np.stack([far * np.cos(angle), far * np.sin(angle), far * (ring - 20) * 0.01], axis=1)
     sweep = make_sweep(points, ring=ring, column=column, time_offset=column * 5.5e-5, intensity=np.cos(angle) ** 2)
-    assert len(encode_compact(sweep)) < 0.25 * len(encode_pcd(sweep))
+    assert len(encode_compact(sweep)) < 0.25 * len(b"".join(encode_pcd(sweep)))
 
 
 @pytest.mark.parametrize(("column", "field"), [("points", "x of point 5"), ("intensity", "intensity of point 5")])
