@@ -41,9 +41,8 @@ from dsrc.data.drives import open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame
 from dsrc.ops.detections import Detections
-from dsrc.review.errors.changes import changes
 from dsrc.review.errors.filters import ErrorFilter, Span
-from dsrc.review.errors.index import ErrorIndex, worst_frames
+from dsrc.review.errors.index import ErrorIndex, changes, worst_frames
 from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.frames import KEPT
 from dsrc.review.model import ReviewModel

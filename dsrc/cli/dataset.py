@@ -56,11 +56,11 @@ class Generate(GenerateOptions, frozen=True):
                 drive = generate(self, progress=report)
             made(drive, f"a drive of {self.frames} frames", "view", drive)
             return
-        from dsrc.review.page.app import live_page
+        from dsrc.review.page.app import LivePage
         from dsrc.review.sources.live import LiveSource
 
         source = LiveSource(str(self.scenario))
-        with live_page(source) as page:
+        with LivePage(source) as page:
             sys.stderr.write(f"{page.url}\n")
             with progress(f"generate {self.scenario}") as report:
                 drive = generate(self, progress=report, watch=source.put)

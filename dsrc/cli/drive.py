@@ -197,7 +197,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from dsrc.closed_loop.campaign.episode import drive_episode
         from dsrc.closed_loop.campaign.plan import campaign_of, episodes_of
         from dsrc.closed_loop.loop import ClosedLoop
-        from dsrc.review.page.app import live_page
+        from dsrc.review.page.app import LivePage
         from dsrc.review.sources.episodes import EpisodeSource
         from sim.errors import SettingsError
 
@@ -214,7 +214,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 source.place(loop.scenario, loop.seed)
             source.put(loop.tick, loop.ego_id, sensed if sensed is not None and sensed.time_s == now_s else None)
 
-        with live_page(source) as page:
+        with LivePage(source) as page:
             sys.stderr.write(f"{page.url}\n")
             log = drive_episode(job, put)
             source.end(str(log.outcome), log.message)

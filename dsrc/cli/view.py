@@ -125,7 +125,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
         if self.picture is not None:
             sys.stdout.write(f"{write_picture(picture(model, self.link, self.size, start), self.picture)}\n")
         if self.animation is not None:
-            rows = range(state.frame, min(state.frame + self.frames, model.frame_count(state.drive)))
+            rows = range(state.frame, min(state.frame + self.frames, len(model.sources[state.drive])))
             with progress(f"draw {self.animation}") as report:
                 images = []
                 for image in export_pictures(model, self.link, self.size, rows, start):

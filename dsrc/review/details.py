@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.points_in_boxes import points_in_boxes
-from dsrc.ops.detections import Detections
-from dsrc.review.matching import RankedMatches
+from dsrc.evaluation.detection_table import points_left
+from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.view import DetectionDetails, ObjectDetails, ObjectVisibility
 from sensors.frame import Frame
 from sim.boxes import CLASSES, Boxes
@@ -16,10 +16,13 @@ from sim.geometry import invert
 from sim.traffic.base import lit
 
 
-def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Sequence[str]) -> ObjectDetails | None:
+def object_details(
+    frame: Frame, recorded: Frame, object_id: int | None, ego_id: int, titles: Sequence[str]
+) -> ObjectDetails | None:
     """Return the details of an object; None when the frame lacks it.
 
     Args:
+        recorded: the frame before the corruption.
         titles: names of the agents, in the order of the frame.
     """
     found = np.flatnonzero(frame.truth.object_id == object_id)
@@ -27,11 +30,6 @@ def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Seq
         return None
     row = int(found[0])
     yaw = frame.truth.yaw[row]
-    # By the object ids of the sweeps, or in the object's box where these are unknown.
-    if any((agent.sweep.object_id >= 0).any() for agent in frame.agents):
-        left = [int(np.count_nonzero(agent.sweep.object_id == object_id)) for agent in frame.agents]
-    else:
-        left = _points_in(frame, frame.truth[found[:1]])
     return ObjectDetails(
         object_id=int(frame.truth.object_id[row]),
         class_name=CLASSES[frame.truth.label[row]],
@@ -43,60 +41,52 @@ def object_details(frame: Frame, object_id: int | None, ego_id: int, titles: Seq
         lane=frame.lane[row],
         seen_by=int(frame.seen_by(ego_id)[row]),
         visibility=tuple(
-            ObjectVisibility(title, int(points), points_left, float(fraction))
-            for title, points, points_left, fraction in zip(
-                titles, frame.points_on[:, row], left, frame.visible_fraction[:, row], strict=True
+            ObjectVisibility(title, int(points), int(left), float(fraction))
+            for title, points, left, fraction in zip(
+                *(titles, frame.points_on[:, row], points_left(recorded, frame)[:, row]),
+                frame.visible_fraction[:, row],
+                strict=True,
             )
         ),
     )
 
 
-def verdict_on(object_id: int, truth: Boxes, matches: RankedMatches, threshold: float) -> tuple[str, float, float]:
-    """Verdict on an object, and score and IoU of its detection, NaN without one.
-
-    Args:
-        truth: the M evaluated objects, in the order of the matches.
-    """
-    rows = np.flatnonzero(truth.object_id == object_id)
+def verdict_on(object_id: int, judged: JudgedRun, threshold: float, iou: float) -> tuple[str, float, float]:
+    """Verdict on an object of one frame, and score and IoU of its detection, NaN without one."""
+    rows = np.flatnonzero(judged.table.object_id == object_id)
     if len(rows) == 0:
         return "not evaluated", math.nan, math.nan
-    rank = int(matches.found_by[rows[0]])
+    rank = int(judged.at(iou).found_by[rows[0]])
     if rank < 0:
         return "missed", math.nan, math.nan
-    verdict = "detected" if rank < matches.kept(threshold) else "missed"
-    return verdict, float(matches.score[rank]), float(matches.overlap[rank])
+    verdict = "detected" if rank < judged.kept(threshold) else "missed"
+    return verdict, float(judged.table.score[rank]), judged.nearest_at(iou, rank)[1]
 
 
 def detection_details(
-    frame: Frame,
-    rank: int,
-    detections: Detections,
-    truth: Boxes,
-    matches: RankedMatches,
-    ego_id: int,
-    titles: Sequence[str],
-    labelled: bool,
+    frame: Frame, rank: int, judged: JudgedRun, iou: float, titles: Sequence[str], labelled: bool
 ) -> DetectionDetails:
     """Details of a detection.
 
     Args:
         rank: place of the detection in the order of the scores.
-        detections: of the frame, in the ego LiDAR's frame.
+        judged: detections of this frame alone.
         titles: names of the agents, in the order of the frame.
         labelled: whether the drive has ground truth.
     """
-    box = detections.boxes[rank : rank + 1].transform(frame.agent(ego_id).sweep.world_from_lidar)
-    nearest = int(matches.nearest[rank])
-    verdict = "true positive" if matches.tp[rank] else "false positive"
+    ego_id = int(judged.table.ego_id[0])
+    box = judged.boxes[rank : rank + 1].transform(frame.agent(ego_id).sweep.world_from_lidar)
+    nearest, overlap = judged.nearest_at(iou, rank)
+    verdict = "true positive" if judged.at(iou).matched[rank] >= 0 else "false positive"
     return DetectionDetails(
         rank=rank,
         class_name=CLASSES[box.label[0]],
         size=_size(box, 0),
         distance_m=_distance(frame, ego_id, box.center[0]),
-        score=float(detections.score[rank]),
+        score=float(judged.table.score[rank]),
         verdict=verdict if labelled else "",
-        object_id=int(truth.object_id[nearest]) if nearest >= 0 else None,
-        iou=float(matches.overlap[rank]),
+        object_id=int(judged.table.object_id[nearest]) if nearest >= 0 else None,
+        iou=overlap,
         points=tuple(zip(titles, _points_in(frame, box), strict=True)),
     )
 

@@ -4,7 +4,7 @@ import contextlib
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +14,12 @@ from dsrc.faults.condition import Faulted, condition_of
 from dsrc.review.sources.base import DriveSource, Setup, Source
 from dsrc.review.sources.detected import corrupted_frame
 from dsrc.review.sources.history import DriveHistory
-from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
 from dsrc.review.static import StaticPart, static_parts
 from sensors.corruptions import CLEAN, CORRUPTIONS, Condition
 from sensors.frame import Frame
 from sim.errors import DataError, UserError, complaint
-
-if TYPE_CHECKING:
-    # The closed loop takes a second to import.
-    from dsrc.review.sources.meeting import Meeting
 
 T = TypeVar("T")
 
@@ -78,14 +73,9 @@ class FrameStore:
         self._recorded: LatestUsed[Frame] = LatestUsed(kept)
         self._corrupted: LatestUsed[Frame] = LatestUsed(kept)
 
-    @property
-    def version(self) -> int:
-        """Number that changes where the source has more of frames that were read before."""
-        return getattr(self.source, "version", 0)
-
     def recorded(self, row: int) -> Frame:
         """Return a frame as recorded; raises DataError where it is damaged."""
-        return self._recorded.get((self.version, row), lambda: self.source.read(row))
+        return self._recorded.get((self.source.version, row), lambda: self.source.read(row))
 
     def corrupted(self, row: int, condition: Condition, ego_id: int | None = None) -> Frame:
         """Return a frame under a condition.
@@ -106,7 +96,7 @@ class FrameStore:
         of_ego |= isinstance(condition, Faulted)
         ego = ego_id if of_ego else None
         return self._corrupted.get(
-            (self.version, row, condition, ego),
+            (self.source.version, row, condition, ego),
             lambda: corrupted_frame(frame, condition, self.source.seed, self.source.name, ego_id),
         )
 
@@ -116,7 +106,6 @@ class Recordings:
 
     Attributes:
         sources: what is reviewed.
-        drives: the same; the page's word.
         names: names of the sources.
         stores: frames of each source.
         histories: objects of the frames of each source.
@@ -130,8 +119,7 @@ class Recordings:
         """
         if not sources:
             raise DataError("review: no drives")
-        self.sources = [cast(Source, one) if hasattr(one, "sets") else DriveSource(one) for one in sources]
-        self.drives = self.sources
+        self.sources = [one if isinstance(one, Source) else DriveSource(one) for one in sources]
         self.names = [source.name for source in self.sources]
         self.stores = [FrameStore(source) for source in self.sources]
         self.histories = [DriveHistory(source) for source in self.sources]
@@ -142,18 +130,6 @@ class Recordings:
         name = self.names[drive]
         return name if self.names.count(name) == 1 else f"{drive}: {name}"
 
-    def frame_count(self, drive: int) -> int:
-        """Number of frames of a source, which may grow."""
-        return len(self.sources[drive])
-
-    def grows(self, drive: int) -> bool:
-        """Whether more frames of a source are to come."""
-        return getattr(self.sources[drive], "ended", True) is False
-
-    def first_row(self, drive: int) -> int:
-        """Row of the oldest frame that a source still has."""
-        return getattr(self.sources[drive], "first", 0)
-
     def readable_frame(self, drive: int) -> Frame:
         """First frame of a drive that can be read.
 
@@ -161,7 +137,7 @@ class Recordings:
             DataError: no frame can be read; what is wrong with the first.
         """
         first: UserError | None = None
-        for row in range(self.first_row(drive), self.frame_count(drive)):
+        for row in range(self.sources[drive].first, len(self.sources[drive])):
             try:
                 return self.stores[drive].recorded(row)
             except UserError as error:
@@ -170,8 +146,8 @@ class Recordings:
 
     def interval_s(self, drive: int) -> float:
         """Time between frames of a drive, s; 0.1 where unknown."""
-        first = self.first_row(drive)
-        if self.frame_count(drive) < first + 2:
+        first = self.sources[drive].first
+        if len(self.sources[drive]) < first + 2:
             return 0.1
         try:
             read = self.stores[drive].recorded
@@ -189,56 +165,38 @@ class Recordings:
             self._origin[drive] = self.readable_frame(drive).agents[0].world_from_body[:3, 3].copy()
         return self._origin[drive]
 
-    def labelled(self, drive: int) -> bool:
-        """Whether a source has ground truth; without it nothing is judged."""
-        return self.sources[drive].labelled
-
     def has_shares(self, drive: int) -> bool:
         """Whether it is known who helped in a source."""
         return isinstance(self.sources[drive], SharedSource)
 
     def static_parts(self, drive: int) -> list[StaticPart]:
         """Static world around the agents of a drive; empty when none is known, DataError where it cannot be rebuilt."""
-        first, last = self.first_row(drive), self.frame_count(drive) - 1
+        source = self.sources[drive]
+        first, last = source.first, len(source) - 1
         places: list[NDArray[np.float64]] = []
         for row in sorted({first, (first + last + 1) // 2, last}):
             with contextlib.suppress(UserError):
                 places += [agent.world_from_body[:2, 3] for agent in self.stores[drive].recorded(row).agents]
-        moment = getattr(self.sources[drive], "moment", None)
-        if moment is not None:
+        if (moment := source.moment(first)) is not None:
             # A running episode has not come far.
-            places += [*moment(first).route[::_ROUTE_STEP]]
-        return static_parts(dict(self.sources[drive].protocol), self.origin(drive), np.array(places, np.float64))
+            places += [*moment.route[::_ROUTE_STEP]]
+        return static_parts(dict(source.protocol), self.origin(drive), np.array(places, np.float64))
 
     def ego_id(self, state: ReviewState) -> int:
         """Id of the agent that detects under a state."""
         ids = [agent.agent_id for agent in self.stores[state.drive].recorded(state.frame).agents]
         return state.ego_id if state.ego_id in ids else ids[0]
 
-    def moment(self, state: ReviewState) -> EpisodeMoment | None:
-        """What the ego of an episode saw, believed and planned, in the review frame; None elsewhere."""
-        moment = getattr(self.sources[state.drive], "moment", None)
-        return None if moment is None else moment(state.frame).moved(-self.origin(state.drive))
-
-    def meeting(self, drive: int) -> "Meeting | None":
-        """Contact or nearest pass of an episode that has ended; None elsewhere."""
-        return getattr(self.sources[drive], "meeting", None)
-
     def twins(self, drive: int) -> list[int]:
         """Other episodes of the same scenario and seed: with other eyes, faults or another driver."""
-        logs = [getattr(source, "log", None) for source in self.sources]
+        logs = [source.log for source in self.sources]
         draws = [None if log is None else (log.settings.scenario.name, log.settings.seed) for log in logs]
         return [row for row, draw in enumerate(draws) if draw is not None and draw == draws[drive] and row != drive]
 
     def opening(self, drive: int) -> dict[str, Any]:
         """Fields of the state in which a source opens: an episode before its meeting, with whom the ego meets."""
-        met = self.meeting(drive)
-        return {"frame": self.first_row(drive)} if met is None else {"frame": met.opens, "object_id": met.other_id}
-
-    def timeline(self, drive: int) -> EpisodeTimeline | None:
-        """Course of an episode; None elsewhere."""
-        timeline = getattr(self.sources[drive], "timeline", None)
-        return None if timeline is None else timeline()
+        met = self.sources[drive].meeting
+        return {"frame": self.sources[drive].first} if met is None else {"frame": met.opens, "object_id": met.other_id}
 
     def setup(self, state: ReviewState) -> Setup:
         """Setup of the detections under a state."""
@@ -247,6 +205,7 @@ class Recordings:
         )
         return Setup(condition, state.ego_id, state.cooperative)
 
-    def _frame(self, state: ReviewState) -> Frame:
+    def frame(self, state: ReviewState) -> Frame:
+        """Frame of a state, corrupted as it says."""
         setup = self.setup(state)
         return self.stores[state.drive].corrupted(state.frame, setup.condition, setup.ego_id)

@@ -13,7 +13,8 @@ from dsrc.data.sample import SampleDetector
 from dsrc.options.review import ColorBy
 from dsrc.review.agents import agent_view, help_view, links, with_shares
 from dsrc.review.details import detection_details, object_details, verdict_on
-from dsrc.review.errors.judgements import FrameDetections, Judgements
+from dsrc.review.errors.judged import JudgedRun
+from dsrc.review.errors.judgements import Judgements
 from dsrc.review.errors.notes import NoteBook
 from dsrc.review.frames import LatestUsed
 from dsrc.review.sources.base import Source
@@ -85,7 +86,7 @@ class ReviewModel(Judgements):
     def _view(self, state: ReviewState, method: str) -> FrameView:
         """Frame as drawn under a state with the detections of a set; "" for none."""
         state = replace(state, color_by=self._meaning(state))
-        frame = self._frame(state)
+        recorded, frame = self.stores[state.drive].recorded(state.frame), self.frame(state)
         ego_id = self.ego_id(state)
         review_from_world = np.eye(4)
         review_from_world[:3, 3] = -self.origin(state.drive)
@@ -103,21 +104,16 @@ class ReviewModel(Judgements):
             layers={**_no_boxes(), SELECTED: truth[truth.object_id == state.object_id]},
             ranks={},
             linked=links(agents) if state.cooperative else np.zeros((0, 2, 3)),
-            layers_off=state.layers_off,
-            color_by=state.color_by,
-            theme=state.theme,
-            rings=state.rings,
-            ruler=state.ruler,
-            point_size_m=state.point_size_m,
-            labelled=self.labelled(state.drive),
-            details=object_details(frame, state.object_id, ego_id, [agent.title for agent in agents]),
+            state=state,
+            labelled=self.sources[state.drive].labelled,
+            details=object_details(frame, recorded, state.object_id, ego_id, [agent.title for agent in agents]),
         )
-        moment = self.moment(state)
-        if moment is not None and "seen" not in state.layers_off:
-            moment = replace(moment, unseen=unseen_places(frame.agents, ego_id))
-        view = replace(
-            view, moment=moment, notice=self._absent(state, frame) or getattr(self.sources[state.drive], "note", "")
-        )
+        source = self.sources[state.drive]
+        if (moment := source.moment(state.frame)) is not None:
+            moment = moment.moved(review_from_world[:3, 3])
+            if "seen" not in state.layers_off:
+                moment = replace(moment, unseen=unseen_places(frame.agents, ego_id))
+        view = replace(view, moment=moment, notice=self._absent(state, frame) or source.note)
         found = self._detections(state, method) if method else None
         if found is None:
             evaluated = truth.is_vehicle & (frame.points_on.sum(axis=0) > 0) & (truth.object_id != ego_id)
@@ -129,7 +125,7 @@ class ReviewModel(Judgements):
 
     def _meaning(self, state: ReviewState) -> ColorBy:
         """What colour means under a state: that of points or that of boxes, never both."""
-        judged = bool(self.method(state)) and self.labelled(state.drive)
+        judged = bool(self.method(state)) and self.sources[state.drive].labelled
         helps = state.boxes_by == "shares" and self.has_shares(state.drive)
         return "agent" if state.color_by == "verdict" and (helps or not judged) else state.color_by
 
@@ -158,7 +154,7 @@ class ReviewModel(Judgements):
     ) -> tuple[AgentView, ...]:
         """Agents as drawn; the same objects while their settings stay."""
         look = state.hidden, state.color_by, state.theme, state.max_points
-        version = self.stores[state.drive].version
+        version = self.sources[state.drive].version
         key = state.drive, version, state.frame, self.setup(state), ego_id, *look
         rows = range(len(frame.agents))
         recorded = self.stores[state.drive].recorded(state.frame) if state.color_by == "fate" else frame
@@ -172,23 +168,19 @@ class ReviewModel(Judgements):
         state: ReviewState,
         frame: Frame,
         review_from_world: NDArray[np.float64],
-        found: FrameDetections,
+        found: JudgedRun,
     ) -> FrameView:
-        matches = found.at(state.iou)
-        kept = matches.kept(state.threshold)
-        ego_id = found.ego_id
-        review_from_lidar = review_from_world @ frame.agent(ego_id).sweep.world_from_lidar
-        boxes = found.detections.boxes[:kept].transform(review_from_lidar)
+        kept = found.kept(state.threshold)
+        review_from_lidar = review_from_world @ frame.agent(int(found.table.ego_id[0])).sweep.world_from_lidar
+        boxes = found.boxes[:kept].transform(review_from_lidar)
         rank = np.arange(kept)
         if state.detection is not None and state.detection < kept:
             titles = [agent.title for agent in view.agents]
-            details = detection_details(
-                frame, state.detection, found.detections, found.truth, matches, ego_id, titles, view.labelled
-            )
+            details = detection_details(frame, state.detection, found, state.iou, titles, view.labelled)
             selected = boxes[state.detection : state.detection + 1]
             view = replace(view, details=details, layers={**view.layers, SELECTED: selected})
         elif isinstance(view.details, ObjectDetails) and view.labelled:
-            verdict, score, iou = verdict_on(view.details.object_id, found.truth, matches, state.threshold)
+            verdict, score, iou = verdict_on(view.details.object_id, found, state.threshold, state.iou)
             view = replace(view, details=replace(view.details, verdict=verdict, score=score, iou=iou))
         if isinstance(view.details, DetectionDetails) or getattr(view.details, "verdict", "") == "missed":
             why = self.cause(state)
@@ -196,10 +188,11 @@ class ReviewModel(Judgements):
             view = replace(view, details=replace(view.details, cause=said))  # type: ignore[type-var]
         if not view.labelled:
             return replace(view, detected=kept, layers={**view.layers, UNJUDGED: boxes}, ranks={UNJUDGED: rank})
-        tp = matches.tp[:kept]
+        tp = found.at(state.iou).matched[:kept] >= 0
         # Boxes are drawn from the frame; the ego's sample only says which of them are detected.
-        found_ids = found.truth.object_id[matches.found(state.threshold)]
-        evaluated = np.isin(view.truth.object_id, found.truth.object_id)
+        ids = found.table.object_id
+        found_ids = ids[found.found(state.threshold, state.iou)]
+        evaluated = np.isin(view.truth.object_id, ids)
         hit = np.isin(view.truth.object_id, found_ids)
         layers = {
             **view.layers,
@@ -215,7 +208,7 @@ class ReviewModel(Judgements):
             layers=layers,
             ranks={TRUE_POSITIVES: rank[tp], FALSE_POSITIVES: rank[~tp]},
             detected=kept,
-            counts=matches.counts(state.threshold),
+            counts=found.counts(state.threshold, state.iou),
             seen=seen,
             seen_frames=seen_frames,
         )
@@ -227,15 +220,14 @@ class ReviewModel(Judgements):
         found = self._detections(state, name)
         if found is None:
             return None
-        review_from_lidar = review_from_world @ frame.agent(found.ego_id).sweep.world_from_lidar
-        matches = found.at(state.iou)
-        kept = matches.kept(state.threshold)
-        boxes = found.detections.boxes[:kept].transform(review_from_lidar)
-        missed = found.truth[~matches.found(state.threshold)].transform(review_from_lidar)
-        if not self.labelled(state.drive):
+        review_from_lidar = review_from_world @ frame.agent(int(found.table.ego_id[0])).sweep.world_from_lidar
+        kept = found.kept(state.threshold)
+        boxes = found.boxes[:kept].transform(review_from_lidar)
+        missed = found.truth[~found.found(state.threshold, state.iou)].transform(review_from_lidar)
+        if not self.sources[state.drive].labelled:
             return MethodView(name, Boxes.zeros(), boxes, Boxes.zeros(), None)
-        tp = matches.tp[:kept]
-        return MethodView(name, boxes[tp], boxes[~tp], missed, matches.counts(state.threshold))
+        tp = found.at(state.iou).matched[:kept] >= 0
+        return MethodView(name, boxes[tp], boxes[~tp], missed, found.counts(state.threshold, state.iou))
 
 
 def _no_boxes() -> dict[str, Boxes]:

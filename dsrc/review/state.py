@@ -112,19 +112,15 @@ class ReviewState:
     error_seen_by: str = ""
     gallery: bool = False
 
+    @property
+    def selects(self) -> bool:
+        """Whether an object or a detection is selected."""
+        return self.object_id is not None or self.detection is not None
+
 
 _OF_CORRUPTION = ("corruption", "severity", "family")
 # A detection is known by its place in one list of scores.
-_LIST_OF_DETECTIONS = (
-    "drive",
-    "frame",
-    *_OF_CORRUPTION,
-    "parameters",
-    "corrupted_agents",
-    "ego_id",
-    "cooperative",
-    "methods",
-)
+_LIST_OF_DETECTIONS = (*"drive frame parameters corrupted_agents ego_id cooperative methods".split(), *_OF_CORRUPTION)
 
 
 def with_changes(state: ReviewState, methods: Callable[[int], Collection[str]], /, **changes: Any) -> ReviewState:

@@ -53,24 +53,17 @@ def load_bodies() -> None:
         body_shape(class_name)
 
 
-@dataclass(frozen=True, slots=True)
-class _MaterialStyle:
-    """Drawing style of some materials: one mesh and opacity."""
-
-    name: str
-    materials: tuple[str, ...]
-    opacity: float | None = None
-
-
-_MATERIAL_STYLES = (
-    _MaterialStyle("roads", ("asphalt", "gravel")),
-    _MaterialStyle("markings", ("marking",)),
-    _MaterialStyle("pavements", ("pavement", "kerb")),
-    _MaterialStyle(_GROUND, ("ground",)),
-    _MaterialStyle("plants", ("hedge", "leaves", "bark")),
-    _MaterialStyle("buildings", ("brick", "plaster", "concrete", "roof", "glass"), 0.55),
-)
-_REST = _MaterialStyle("furniture", ())
+# Parts of the world and their materials; the last one has the rest.
+_PARTS = {
+    "roads": ("asphalt", "gravel"),
+    "markings": ("marking",),
+    "pavements": ("pavement", "kerb"),
+    _GROUND: ("ground",),
+    "plants": ("hedge", "leaves", "bark"),
+    "buildings": ("brick", "plaster", "concrete", "roof", "glass"),
+    "furniture": (),
+}
+_OPACITY = {"buildings": 0.55}
 
 
 def static_parts(
@@ -118,16 +111,16 @@ def split_by_material(
     for place in places:
         # To the box around a face: the ground is two triangles whose middles are far from everything.
         near |= np.hypot(*(np.clip(place, low, high) - place).T) <= radius_m
-    style_of = {name: row for row, style in enumerate(_MATERIAL_STYLES) for name in style.materials}
-    style_of_material = np.array([style_of.get(m.name, len(_MATERIAL_STYLES)) for m in MATERIALS])
-    group = style_of_material[np.asarray(mesh.face_attributes["material"])]
+    part_of = {material: row for row, materials in enumerate(_PARTS.values()) for material in materials}
+    part_of_material = np.array([part_of.get(material.name, len(_PARTS) - 1) for material in MATERIALS])
+    group = part_of_material[np.asarray(mesh.face_attributes["material"])]
     parts = []
-    for row, style in enumerate((*_MATERIAL_STYLES, _REST)):
+    for row, name in enumerate(_PARTS):
         group_faces = faces[near & (group == row)]
         if len(group_faces) == 0:
             continue
         used, flat = np.unique(group_faces, return_inverse=True)
-        sink = GROUND_SINK_M if style.name == _GROUND else SINK_M
+        sink = GROUND_SINK_M if name == _GROUND else SINK_M
         moved = (vertices[used] - origin - [0.0, 0.0, sink]).astype(np.float32)
-        parts.append(StaticPart(style.name, moved, flat.reshape(-1, 3).astype(np.uint32), style.opacity))
+        parts.append(StaticPart(name, moved, flat.reshape(-1, 3).astype(np.uint32), _OPACITY.get(name)))
     return parts

@@ -148,7 +148,7 @@ def _size(size: tuple[float, float, float]) -> str:
 
 def box_legend(view: FrameView) -> list[tuple[Rgb, str, str]]:
     """Colours of the boxes, what they mean, and the names of their counts in an exported page, "" without one."""
-    ink = palette.LOOKS[view.theme].ink
+    ink = palette.LOOKS[view.state.theme].ink
     other = (palette.OTHER, "object, not evaluated", "other")
     if view.help is not None:
         return [
@@ -162,7 +162,7 @@ def box_legend(view: FrameView) -> list[tuple[Rgb, str, str]]:
         return [(ink, "detection, not judged", "detected")]
     if view.counts is None:
         return [(ink, "object in sight of an agent", "objects"), other]
-    judged = view.color_by == "verdict"
+    judged = view.state.color_by == "verdict"
     return [
         (palette.TP if judged else ink, "true positive", "tp"),
         (palette.FP if judged else ink, "false positive, crossed", "fp"),
@@ -174,14 +174,14 @@ def box_legend(view: FrameView) -> list[tuple[Rgb, str, str]]:
 def fate_legend(view: FrameView) -> list[tuple[Rgb, str]]:
     """Colours of the points by what a corruption did to them, and what they mean; none by other colours."""
     fates = [(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items()]
-    return [*fates, (palette.LOST, palette.LOST_NAME)] if view.color_by == "fate" else []
+    return [*fates, (palette.LOST, palette.LOST_NAME)] if view.state.color_by == "fate" else []
 
 
 def ruler_report(view: FrameView) -> str:
     """What the ruler measures: distance, heading from the ego's and time at its speed; "" without one."""
-    if len(view.ruler) != _ENDS:
+    if len(view.state.ruler) != _ENDS:
         return ""
-    x, y = view.ruler[2] - view.ruler[0], view.ruler[3] - view.ruler[1]
+    x, y = view.state.ruler[2] - view.state.ruler[0], view.state.ruler[3] - view.state.ruler[1]
     yaw = math.atan2(view.ego.review_from_body[1, 0], view.ego.review_from_body[0, 0])
     turn = math.degrees(math.remainder(math.atan2(y, x) - yaw, math.tau))
     side = "left" if turn > 0.0 else "right"
@@ -212,7 +212,8 @@ def legend(view: FrameView) -> str:
             rows.append((palette.UNSEEN[:3], "shaded: unseen in every sweep that arrived", False))
     rows += [(rgb, text, True) for rgb, text, _ in box_legend(view)]
     lines = "".join(_legend_row(*row) for row in rows)
-    return f'<div style="padding:.2em 1em .4em;font-size:.82em;line-height:1.6">{scale_bar(view.color_by)}{lines}</div>'
+    bar = scale_bar(view.state.color_by)
+    return f'<div style="padding:.2em 1em .4em;font-size:.82em;line-height:1.6">{bar}{lines}</div>'
 
 
 def fates_table(view: FrameView) -> str:

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.review.matching import Counts
+from dsrc.review.errors.judged import Counts
 from dsrc.review.palette import Rgb
 from dsrc.review.sources.moment import EpisodeMoment
-from dsrc.review.state import ColorBy, Theme
+from dsrc.review.state import ReviewState
 from sensors.frame import AgentKind
 from sim.boxes import Boxes
 
@@ -216,10 +216,7 @@ class FrameView:
         layers: the boxes of each of `LAYERS`.
         ranks: places in the order of the scores of the boxes of each layer of detections.
         linked: (K, 2, 3) float64 lines from the ego's sensor to its collaborators'.
-        layers_off: hidden layers.
-        color_by: what colour means.
-        theme: of the page.
-        point_size_m: side of a drawn point, m.
+        state: what is drawn; `color_by` is what colour means here.
         labelled: whether the drive has ground truth; without it nothing is judged.
         detected: number of drawn detections.
         counts: TP, FP, FN of this frame; None without a detector or labels.
@@ -230,8 +227,6 @@ class FrameView:
         compared: further methods.
         notice: why detections are missing, or "".
         moment: what the ego of an episode saw, believed and planned; None elsewhere.
-        rings: whether circles around the ego are drawn.
-        ruler: x and y of its ends, m; 0, 2 or 4 numbers.
         help: boxes by who helped, in place of the judged ones; None where they are drawn by their verdict.
     """
 
@@ -244,10 +239,7 @@ class FrameView:
     layers: dict[str, Boxes]
     ranks: dict[str, NDArray[np.int64]]
     linked: NDArray[np.float64]
-    layers_off: frozenset[str]
-    color_by: ColorBy
-    theme: Theme
-    point_size_m: float
+    state: ReviewState
     labelled: bool = True
     detected: int = 0
     counts: Counts | None = None
@@ -258,8 +250,6 @@ class FrameView:
     compared: tuple[MethodView, ...] = ()
     notice: str = ""
     moment: EpisodeMoment | None = None
-    rings: bool = False
-    ruler: tuple[float, ...] = ()
     help: HelpView | None = None
 
     @property

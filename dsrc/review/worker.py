@@ -6,13 +6,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
+from typing import Literal, NamedTuple
 
 from dsrc.review.frames import FrameStore
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.sources.history import DriveHistory
 from sensors.corruptions import Condition
+from sensors.frame import Frame
 from sim.errors import SettingsError, UserError, complaint
 
 log = logging.getLogger(__name__)
@@ -60,20 +62,11 @@ class JobProgress:
         return None if not self.done or self.ended else self.seconds / self.done * (self.total - self.done)
 
 
-@dataclass(slots=True)
-class _Job:
+class _Job(NamedTuple):
     store: FrameStore
     own: ComputedSet
     setup: Setup
     start: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Ahead:
-    store: FrameStore
-    rows: tuple[int, ...]
-    condition: Condition
-    ego_id: int | None
 
 
 class Worker:
@@ -88,7 +81,7 @@ class Worker:
         self._jobs: dict[int, _Job] = {}
         self._progress: dict[int, JobProgress] = {}
         self._cancelled: set[int] = set()
-        self._ahead: _Ahead | None = None
+        self._ahead: deque[partial[Frame]] = deque()
         self._over: DriveHistory | None = None
         self._count = 0
         self._closed = False
@@ -127,9 +120,9 @@ class Worker:
         self, store: FrameStore, rows: Sequence[int], condition: Condition | None = None, ego_id: int | None = None
     ) -> None:
         """Read frames ahead, in their order, in place of those asked for before."""
-        inside = tuple(row for row in rows if 0 <= row < len(store.source))
+        inside = (row for row in rows if 0 <= row < len(store.source))
         with self._changed:
-            self._ahead = _Ahead(store, inside, condition or Condition(), ego_id) if inside else None
+            self._ahead = deque(partial(store.corrupted, row, condition or Condition(), ego_id) for row in inside)
             self._changed.notify_all()
 
     def read_over(self, history: DriveHistory) -> None:
@@ -168,7 +161,7 @@ class Worker:
         """End after the frame that the worker is at; jobs that wait or run are cancelled."""
         with self._changed:
             self._closed = True
-            self._ahead = None
+            self._ahead.clear()
             for number in list(self._waiting):
                 self._end(number, "cancelled")
             self._waiting.clear()
@@ -182,8 +175,8 @@ class Worker:
                 self._changed.wait_for(lambda: self._closed or self._waiting or self._ahead or self._over)
                 if self._closed:
                     return
-                number = self._waiting.popleft() if self._ahead is None and self._waiting else None
-                over = self._over if self._ahead is None else None
+                number = self._waiting.popleft() if not self._ahead and self._waiting else None
+                over = self._over if not self._ahead else None
             if number is not None:
                 self._run(number)
             elif over is not None:
@@ -205,17 +198,15 @@ class Worker:
 
     def _read_ahead(self) -> None:
         with self._changed:
-            ahead = self._ahead
-            if ahead is None:
+            if not self._ahead:
                 return
-            rest = replace(ahead, rows=ahead.rows[1:])
-            self._ahead = rest if rest.rows else None
+            read = self._ahead.popleft()
         try:
-            ahead.store.corrupted(ahead.rows[0], ahead.condition, ahead.ego_id)
+            read()
         except UserError:
-            log.debug("frame %d cannot be read ahead", ahead.rows[0])  # told where it is drawn
+            log.debug("frame %d cannot be read ahead", read.args[0])  # told where it is drawn
         except Exception:
-            log.exception("frame %d cannot be read ahead", ahead.rows[0])
+            log.exception("frame %d cannot be read ahead", read.args[0])
 
     def _run(self, number: int) -> None:
         job = self._jobs[number]
@@ -224,7 +215,7 @@ class Worker:
         self._tell(number, state="running", total=total)
         start = min(job.start, max(total - 1, 0))
         for done, row in enumerate([*range(start, total), *range(start)]):
-            while self._ahead is not None:
+            while self._ahead:
                 self._read_ahead()
             if number in self._cancelled:
                 self._end(number, "cancelled")

@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10, help="frames of the animation")
     given = parser.parse_args()
     model, out = open_model(given.drive, given.checkpoint), given.out
-    rows = range(20, min(20 + given.frames, model.frame_count(0)))
+    rows = range(20, min(20 + given.frames, len(model.sources[0])))
     foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
     fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
     pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"

@@ -79,7 +79,7 @@ def _picture(model: Judgements, at: ReviewState, errors: ErrorTable, row: int) -
     own = model.cause(at)
     if own is None:
         return "", "", ""
-    frames = model.stores[at.drive].recorded(at.frame), model.shown_frame(at)
+    frames = model.stores[at.drive].recorded(at.frame), model.frame(at)
     return f"{own.error}: {own.kind}", own.sentence, _drawn(*frames, errors, row, own.hidden_from)
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from dsrc.evaluation.detection_table import join_tables
 from dsrc.evaluation.metrics.ap import Curve
 from dsrc.review.errors.filters import FN, FP, KINDS, POOR, ErrorFilter
-from dsrc.review.errors.judged import UNKNOWN, JudgedRun
-from dsrc.review.matching import Counts
+from dsrc.review.errors.judged import UNKNOWN, Counts, JudgedRun
 from dsrc.review.sources.base import Setup
 from sim.rows import Rows
 
@@ -74,12 +73,6 @@ class ErrorTable(Rows):
         """Errors by frame, those of a frame the worst first."""
         return self[np.lexsort((self.distance_m, self.kind, -self.loss, self.row))]
 
-    def title(self, row: int) -> str:
-        """Title of an error: `missed, frame 12, 34 m, DSRC, clean`."""
-        where = f"frame {self.frame[row]}, {self.distance_m[row]:.0f} m"
-        method = self.method[row]
-        return f"{KINDS[self.kind[row]]}, {where}, {self.methods[method]}, {self.conditions[method]}"
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameRanking:
@@ -126,17 +119,11 @@ class ErrorIndex:
         if len(self.runs) < len(runs):
             raise ValueError("two runs have one name")
 
-    def errors(
-        self, threshold: float, iou: float, only: ErrorFilter | None = None, poor_iou: float = POOR_IOU
-    ) -> ErrorTable:
-        """Errors, the worst first.
-
-        Args:
-            poor_iou: IoU below which a true positive is poor.
-        """
+    def errors(self, threshold: float, iou: float, only: ErrorFilter | None = None) -> ErrorTable:
+        """Errors, the worst first."""
         only, names = only or ErrorFilter(), list(self.runs)
         runs = [(0, JudgedRun("", Setup(), join_tables([]))), *((names.index(n), run) for n, run in self._asked(only))]
-        tables = [_columns(run, number, threshold, iou, poor_iou, only) for number, run in runs]
+        tables = [_columns(run, number, threshold, iou, only) for number, run in runs]
         columns: dict[str, Any] = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
         setups = tuple(run.setup for run in self.runs.values())
         conditions = tuple(setup.condition.label for setup in setups)
@@ -158,9 +145,7 @@ class ErrorIndex:
         return [(name, run) for name, run in self.runs.items() if not only.methods or name in only.methods]
 
 
-def _columns(
-    run: JudgedRun, number: int, threshold: float, iou: float, poor_iou: float, only: ErrorFilter
-) -> dict[str, NDArray]:
+def _columns(run: JudgedRun, number: int, threshold: float, iou: float, only: ErrorFilter) -> dict[str, NDArray]:
     """Columns of the errors of a run, whose method has a number."""
     table, matches = run.table, run.at(iou)
     found, objects = run.found(threshold, iou), only.objects(run)
@@ -168,7 +153,7 @@ def _columns(
     false = np.flatnonzero((table.score >= threshold) & (matches.matched < 0) & only.places(run))
     hits = np.flatnonzero(found & objects)
     overlap = run.iou_with(matches.found_by[hits], hits)
-    poor, poor_overlap = hits[overlap < poor_iou], overlap[overlap < poor_iou]
+    poor, poor_overlap = hits[overlap < POOR_IOU], overlap[overlap < POOR_IOU]
 
     score = np.append(table.score, np.float32(np.nan))
     rank = np.append(run.rank, -1)
@@ -224,20 +209,31 @@ def worst_frames(errors: ErrorTable, rows: NDArray[np.int64]) -> FrameRanking:
     return FrameRanking(rows[order], loss[order], missed, false, poor)
 
 
-def next_error(errors: ErrorTable, row: int, after: int = -1, step: int = 1, kinds: Sequence[int] = ()) -> int | None:
+def next_error(errors: ErrorTable, row: int, after: int = -1, step: int = 1) -> int | None:
     """Next error from a place on the timeline, a row of `errors`; None when there is none.
 
     Args:
         errors: in the order of the frames, see `ErrorTable.in_order`.
         after: the selected error, a row of `errors`; -1 for none: then those of the frame itself come first.
         step: 1 for the next, -1 for the one before.
-        kinds: kinds of errors; empty for all.
     """
-    asked = np.ones(len(errors), bool) if not kinds else np.isin(errors.kind, list(kinds))
     places = np.arange(len(errors))
     if step > 0:
         ahead = places > after if after >= 0 else errors.row >= row
     else:
         ahead = places < after if after >= 0 else errors.row <= row
-    found = np.flatnonzero(asked & ahead)
+    found = np.flatnonzero(ahead)
     return None if not len(found) else int(found[0 if step > 0 else -1])
+
+
+def changes(
+    before: JudgedRun, after: JudgedRun, threshold: float, iou: float, only: ErrorFilter | None = None
+) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+    """Objects of both runs that the first alone finds, and those that the second alone does, by frame and id.
+
+    Args:
+        only: objects of the second run to look at; None for all.
+    """
+    both = before.keys() & after.keys(None if only is None else only.objects(after))
+    had, has = (run.keys(run.found(threshold, iou)) & both for run in (before, after))
+    return had - has, has - had

@@ -1,23 +1,47 @@
-"""JudgedRun: detections of a method over a run, matched once with the true boxes; a threshold only moves the cut."""
+"""JudgedRun: detections of a method over a run, or in a frame, matched once; a threshold only moves the cut."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.evaluation.metrics.ap import Curve, Pairs, curve_of, overlapping_pairs
-from dsrc.review.matching import Counts
 from dsrc.review.sources.base import Setup
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
+from sim.boxes import Boxes
 
 UNKNOWN = 255
 """Visibility where the points on objects are unknown."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RunMatches:
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Counts of true positives, false positives and false negatives."""
+
+    tp: int = 0
+    fp: int = 0
+    fn: int = 0
+
+    def __add__(self, other: "Counts") -> "Counts":
+        return Counts(self.tp + other.tp, self.fp + other.fp, self.fn + other.fn)
+
+    @property
+    def precision(self) -> float | None:
+        """TP / (TP + FP); None without detections."""
+        total = self.tp + self.fp
+        return self.tp / total if total else None
+
+    @property
+    def recall(self) -> float | None:
+        """TP / (TP + FN); None without objects."""
+        total = self.tp + self.fn
+        return self.tp / total if total else None
+
+
+class RunMatches(NamedTuple):
     """Matches of D detections and N true boxes of a run at one IoU, for any threshold of the score.
 
     Matching is greedy by score: a higher threshold cuts the list and changes nothing before the cut.
@@ -74,6 +98,20 @@ class JudgedRun:
             self._at[iou] = RunMatches(matched, found_by)
         return self._at[iou]
 
+    def keys(self, among: NDArray[np.bool_] | None = None) -> set[tuple[int, int]]:
+        """Frames in the source and ids of true boxes, those of unknown ids, -1, left out.
+
+        Args:
+            among: (N,) mask of these boxes; None for all.
+        """
+        known = (self.table.object_id >= 0) & (True if among is None else among)
+        rows = self.table.position[self.truth_frame_of[known]]
+        return set(zip(rows.tolist(), self.table.object_id[known].tolist(), strict=True))
+
+    def kept(self, threshold: float) -> int:
+        """Number of detections that reach a threshold: of one frame they are the first."""
+        return int(np.count_nonzero(self.table.score >= threshold))
+
     def found(self, threshold: float, iou: float) -> NDArray[np.bool_]:
         """(N,) true boxes hit by a detection that reaches the threshold."""
         by = self.at(iou).found_by
@@ -88,6 +126,23 @@ class JudgedRun:
         if not len(keys[0]):
             return np.zeros(len(rows))
         return np.where(keys[0][place] == wanted, keys[1][place], 0.0)
+
+    def nearest_at(self, iou: float, row: int) -> tuple[int, float]:
+        """Row of the true box that a detection hits, else of the one that it overlaps most, -1 without, and the IoU."""
+        hit = int(self.at(iou).matched[row])
+        if hit < 0:
+            return int(self.nearest[row]), float(self.nearest_iou[row])
+        return hit, float(self.iou_with(np.array([row]), np.array([hit]))[0])
+
+    @cached_property
+    def boxes(self) -> Boxes:
+        """The detections, each in the frame of its ego's LiDAR."""
+        return Boxes.from_array(self.table.boxes)
+
+    @cached_property
+    def truth(self) -> Boxes:
+        """The true boxes, alike."""
+        return Boxes.from_array(self.table.truth, self.table.label, self.table.object_id)
 
     @cached_property
     def _pair_keys(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -142,6 +197,8 @@ class JudgedRun:
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32], int]:
         """Hits and scores of the detections that count, and the number of true boxes that do."""
         matched = self.at(iou).matched
+        if among is None and asked is None:
+            return matched >= 0, self.table.score, len(self.table.truth)
         counted = np.ones(len(matched), bool) if asked is None else asked | (matched >= 0)
         truths = len(self.table.truth)
         if among is not None:

@@ -1,25 +1,21 @@
 """Judgements: detections of the sources of a page, compared with ground truth under a state, with caches."""
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from dsrc.data.drives import Drive
 from dsrc.data.sample import SampleDetector
 from dsrc.evaluation.causes.cause import Circumstances, ErrorCause, frame_causes
 from dsrc.evaluation.detection_table import DetectionTable
-from dsrc.ops.detections import Detections
-from dsrc.review.errors.changes import ObjectChanges, changes
 from dsrc.review.errors.filters import ErrorFilter
-from dsrc.review.errors.index import ErrorIndex
-from dsrc.review.errors.judged import JudgedRun
+from dsrc.review.errors.index import ErrorIndex, changes
+from dsrc.review.errors.judged import Counts, JudgedRun
 from dsrc.review.frames import LatestUsed, Recordings
-from dsrc.review.matching import Counts, RankedMatches, ranked_matches
-from dsrc.review.sources.base import DetectionSet, Setup, Source
+from dsrc.review.sources.base import MemorySet, Setup, Source
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN
 from sensors.frame import Frame
-from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint, did_you_mean
 
 DETECTOR = "detector"
@@ -28,22 +24,6 @@ DETECTOR = "detector"
 _DETECTIONS_KEPT = 4096
 _RUNS_KEPT = 64
 _PICTURES_KEPT = 200
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameDetections:
-    """Detections and ground truth of one frame, in the ego LiDAR's frame."""
-
-    detections: Detections
-    truth: Boxes
-    ego_id: int
-    matches: dict[float, RankedMatches] = field(default_factory=dict)
-
-    def at(self, iou: float) -> RankedMatches:
-        """Matches at an IoU, cached."""
-        if iou not in self.matches:
-            self.matches[iou] = ranked_matches(self.detections, self.truth, iou)
-        return self.matches[iou]
 
 
 class Judgements(Recordings):
@@ -66,7 +46,7 @@ class Judgements(Recordings):
         if detector is not None:
             for source in self.sources:
                 source.sets[DETECTOR] = ComputedSet(DETECTOR, detector)
-        self._judged: LatestUsed[FrameDetections] = LatestUsed(_DETECTIONS_KEPT)
+        self._judged: LatestUsed[JudgedRun] = LatestUsed(_DETECTIONS_KEPT)
         self._runs: LatestUsed[JudgedRun] = LatestUsed(_RUNS_KEPT)
         self.drawn: LatestUsed[tuple[str, str, str]] = LatestUsed(_PICTURES_KEPT)
 
@@ -91,17 +71,13 @@ class Judgements(Recordings):
     def counts(self, state: ReviewState) -> Counts | None:
         """Counts of TP, FP and FN in a frame; None without detections or labels."""
         method = self.method(state)
-        found = self._detections(state, method) if method and self.labelled(state.drive) else None
-        return None if found is None else found.at(state.iou).counts(state.threshold)
-
-    def shown_frame(self, state: ReviewState) -> Frame:
-        """Frame of a state, corrupted as it says."""
-        return self._frame(state)
+        found = self._detections(state, method) if method and self.sources[state.drive].labelled else None
+        return None if found is None else found.counts(state.threshold, state.iou)
 
     def causes(self, state: ReviewState) -> list[ErrorCause]:
         """Causes of the judged method's errors in a frame; empty where nothing is judged, or no agent has a point."""
         method, setup = self.method(state), self.setup(state)
-        if not method or not self.labelled(state.drive):
+        if not method or not self.sources[state.drive].labelled:
             return []
         own, clean = self.sources[state.drive].sets[method], self.stores[state.drive].recorded(state.frame)
         table = self._table(own, state, setup)
@@ -111,7 +87,7 @@ class Judgements(Recordings):
         alone = not setup.cooperative if not own.recorded else run is not None and run.agents == 1
         known = Circumstances(
             condition=setup.condition.label if setup.condition.kind != CLEAN else "",
-            corrupted=self._frame(state),
+            corrupted=self.frame(state),
             team=(int(table.ego_id[0]),) if alone else None,
         )
         return frame_causes(table, clean, state.threshold, state.iou, known)
@@ -128,8 +104,10 @@ class Judgements(Recordings):
         """Errors of the run under a state, of all its methods, in the frames whose detections are known."""
         return ErrorIndex([self.run(state.drive, name, self.setup(state)) for name in self._asked(state)])
 
-    def changes(self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None) -> ObjectChanges:
-        """What changes from one state to another of the same drive: a corruption, a method, cooperation.
+    def changes(
+        self, before: ReviewState, after: ReviewState, only: ErrorFilter | None = None
+    ) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+        """What only one of two states of a drive finds, another corruption, method or cooperation, see `changes`.
 
         Args:
             after: second state, whose threshold and IoU count.
@@ -192,10 +170,10 @@ class Judgements(Recordings):
         method = self.method(state)
         rows = self.sources[state.drive].sets[method].rows(self.setup(state)).tolist()
         known = [self._detections(replace(state, frame=row), method) for row in rows]
-        counts = (found.at(state.iou).counts(state.threshold) for found in known if found is not None)
+        counts = (found.counts(state.threshold, state.iou) for found in known if found is not None)
         return sum(counts, Counts()), len(known)
 
-    def _detections(self, state: ReviewState, method: str) -> FrameDetections | None:
+    def _detections(self, state: ReviewState, method: str) -> JudgedRun | None:
         """Detections of a set in a frame, computed where they can be; None where they are unknown."""
         own, setup = self.sources[state.drive].sets[method], self.setup(state)
         key: Hashable = (state.drive, state.frame, method, setup)
@@ -204,12 +182,11 @@ class Judgements(Recordings):
         table = self._table(own, state, setup)
         if table is None:
             return None
-        (result,) = table.results()
-        return self._judged.get(key, lambda: FrameDetections(result.detections, result.truth, int(table.ego_id[0])))
+        return self._judged.get(key, lambda: JudgedRun(method, setup, table))
 
-    def _table(self, own: DetectionSet, state: ReviewState, setup: Setup) -> DetectionTable | None:
+    def _table(self, own: MemorySet, state: ReviewState, setup: Setup) -> DetectionTable | None:
         table = own.get(state.frame, setup)
         if table is not None or not isinstance(own, ComputedSet):
             return table
         clean = self.stores[state.drive].recorded(state.frame)
-        return own.compute(state.frame, clean, self._frame(state), setup)
+        return own.compute(state.frame, clean, self.frame(state), setup)

@@ -76,11 +76,11 @@ class Overviews:
         model = self._model
         if all(source.kind == "episode" for source in model.sources):
             return _of_episodes(model, state)
-        frames = sum(model.frame_count(drive) for drive in range(len(model.sources)))
+        frames = sum(len(model.sources[drive]) for drive in range(len(model.sources)))
         run = f"{_count(len(model.sources), 'drive')}, {_count(frames, 'frame')}"
         if not model.has_detector:
             return Overview((f"{run}. No detections: nothing is judged. A detector is given as --checkpoint.",))
-        if not any(model.labelled(drive) for drive in range(len(model.sources))):
+        if not any(model.sources[drive].labelled for drive in range(len(model.sources))):
             return Overview((f"{run}. No labels: detections are shown, and nothing is judged.",))
         known = sum(len(own.rows(model.setup(state))) for source in model.sources for own in source.sets.values())
         key = (state.threshold, state.iou, state.ego_id, state.cooperative, model.setup(state), known)
@@ -132,7 +132,7 @@ def _cell(model: Judgements, state: ReviewState, method: str, condition: Conditi
     worst: dict[str, Cell] = {}
     loss: dict[str, float] = {}
     for drive, source in enumerate(model.sources):
-        if method not in source.sets or not model.labelled(drive):
+        if method not in source.sets or not model.sources[drive].labelled:
             continue
         at = replace(here, drive=drive, ego_id=state.ego_id if drive == state.drive else None)
         run = model.run(drive, method, model.setup(at))
@@ -194,14 +194,14 @@ def _of_episodes(model: Judgements, state: ReviewState) -> Overview:
     here = replace(state, methods=(), object_id=None, detection=None, versus="", error_method="", ego_id=None)
     cells: dict[tuple[str, str], list[tuple[float, ReviewState]]] = {}
     for drive, source in enumerate(model.sources):
-        line = model.timeline(drive)
+        line = model.sources[drive].timeline()
         if line is None or not len(line.time_s):
             continue
         hit = line.contact_row
         hard = float(-line.wanted_mps2.min()) if hit is None else line.closing_mps
         hardest = int(np.argmin(line.wanted_mps2)) if hit is None else hit
         at = replace(here, drive=drive, **model.opening(drive) | {"frame": hardest})
-        cells.setdefault((getattr(source, "fault", ""), line.outcome), []).append((hard, at))
+        cells.setdefault((source.fault, line.outcome), []).append((hard, at))
     outcomes = sorted({outcome for _, outcome in cells}, key=lambda name: (name != "crashed", name))
 
     def crashed(fault: str) -> tuple[int, str]:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from dsrc.evaluation.metrics.ap import Curve
 from dsrc.review.errors.filters import ANY, FP, KINDS, ErrorFilter, Span
 from dsrc.review.errors.index import ErrorTable, FrameRanking, worst_frames
+from dsrc.review.errors.judged import Counts
 from dsrc.review.errors.judgements import Judgements
-from dsrc.review.matching import Counts
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import IOU_THRESHOLDS, METHOD, Band, ReviewState, other_run
@@ -84,11 +84,9 @@ def listed_errors(model: Judgements, state: ReviewState) -> ErrorTable:
         raise SettingsError(complaint("errors", "against", f"another run, for what is {state.listed} by this", "none"))
     state, before = (replace(one, methods=(model.method(one),)) for one in (state, before))
     only = replace(only, methods=())
-    changes = model.changes(before, state, only)
-    of = state if state.listed == BROKEN else before
+    broken, fixed = model.changes(before, state, only)
+    of, pairs = (state, broken) if state.listed == BROKEN else (before, fixed)
     missed = model.index(of).errors(state.threshold, state.iou, replace(only, kinds=("missed",)))
-    chosen = changes.fixed if state.listed == FIXED else ~changes.fixed
-    pairs = set(zip(changes.row[chosen].tolist(), changes.object_id[chosen].tolist(), strict=True))
     keys = zip(missed.row.tolist(), missed.object_id.tolist(), strict=True)
     return missed[np.array([key in pairs for key in keys], bool)]
 
@@ -112,7 +110,7 @@ def run_report(model: Judgements, state: ReviewState) -> RunReport:
         counts=index.counts(state.threshold, state.iou, only),
         frames=worst_frames(index.errors(state.threshold, state.iou, replace(only, methods=(method,))), rows),
         known=len(model.sources[state.drive].sets[method].rows(model.setup(state))),
-        total=model.frame_count(state.drive),
+        total=len(model.sources[state.drive]),
         versus=versus,
     )
 
@@ -163,7 +161,7 @@ def to_detect(model: Judgements, state: ReviewState) -> list[tuple[str, Setup]]:
     before = other_run(state)
     wanted = [(name, model.setup(state)) for name in state.methods or (model.method(state),)]
     wanted += [(model.method(before), model.setup(before))] if before is not None else []
-    sets, total = model.sources[state.drive].sets, model.frame_count(state.drive)
+    sets, total = model.sources[state.drive].sets, len(model.sources[state.drive])
     return [
         (name, setup)
         for name, setup in dict.fromkeys(wanted)
@@ -173,7 +171,7 @@ def to_detect(model: Judgements, state: ReviewState) -> list[tuple[str, Setup]]:
 
 def first_unknown(model: Judgements, state: ReviewState, step: int) -> int | None:
     """First frame from a state's on in a direction whose detections can be computed and are not; None without one."""
-    count = model.frame_count(state.drive)
+    count = len(model.sources[state.drive])
     ahead = range(state.frame, count) if step > 0 else range(state.frame, -1, -1)
     unknown = set(ahead)
     missing = to_detect(model, state)
@@ -183,18 +181,8 @@ def first_unknown(model: Judgements, state: ReviewState, step: int) -> int | Non
 
 
 _FIELDS = (
-    *(
-        "drive",
-        "ego_id",
-        "cooperative",
-        "methods",
-        "corruption",
-        "severity",
-        "family",
-        "parameters",
-        "corrupted_agents",
-    ),
-    *("threshold", "iou", "listed", "versus", "error_method", "error_class", "error_range", "error_seen_by"),
+    *"drive ego_id cooperative methods corruption severity family parameters corrupted_agents".split(),
+    *"threshold iou listed versus error_method error_class error_range error_seen_by".split(),
 )
 
 

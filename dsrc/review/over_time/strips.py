@@ -30,14 +30,15 @@ _ABSENT = 10
 
 def over_time(model: Judgements, state: ReviewState, view: FrameView) -> str:
     """SVG of the plots of an episode and of the selected object, "" where there is nothing to plot."""
-    first, last, line = model.first_row(state.drive), model.frame_count(state.drive) - 1, model.timeline(state.drive)
+    source = model.sources[state.drive]
+    first, last, line = source.first, len(source) - 1, source.timeline()
     if last < 1:
         return ""
     strips: list[Strip] = []
     marks: dict[str, int] = {}
     edges = f"frame {first}", f"{last}"
     if line is not None:
-        met = model.meeting(state.drive)
+        met = source.meeting
         strips, marks = episode_strips(line, met), {} if met is None else met.marks
         edges = f"{line.time_s[0]:.1f} s", f"{line.time_s[-1]:.1f} s"
     details, history, method = view.details, model.histories[state.drive], model.method(state)

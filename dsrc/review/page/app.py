@@ -4,7 +4,7 @@ import contextlib
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -143,8 +143,8 @@ class ReviewApp:
             return self._worlds[drive]
 
 
-class LivePage:
-    """Page on frames that are still being made; whoever makes them hands them to the source and never waits.
+class LivePage(contextlib.AbstractContextManager):
+    """Page, during a block, on frames that are still being made; whoever hands them to the source never waits.
 
     Attributes:
         source: the frames.
@@ -177,17 +177,8 @@ class LivePage:
         self.source.end()
         self.app.close()
 
-
-@contextlib.contextmanager
-def live_page(
-    source: "LiveSource | EpisodeSource", host: str = LOOPBACK, port: int | None = None
-) -> Iterator[LivePage]:
-    """Serve a page on frames to come during the block; arguments and errors as of `LivePage`."""
-    page = LivePage(source, host, port)
-    try:
-        yield page
-    finally:
-        page.close()
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def first_state(model: ReviewModel, options: ServeOptions | PageOptions) -> ReviewState:
@@ -204,11 +195,11 @@ def first_state(model: ReviewModel, options: ServeOptions | PageOptions) -> Revi
         family=options.family,
         corrupted_agents=options.corrupted_agents,
     )
-    last = model.frame_count(0) - 1
+    last = len(model.sources[0]) - 1
     if not 0 <= options.frame <= last:
         raise SettingsError(complaint("view", "frame", f"0 to {last}", options.frame))
     first: UserError | None = None
-    for drive in range(len(model.drives)):
+    for drive in range(len(model.sources)):
         try:
             model.readable_frame(drive)
         except UserError as error:

@@ -26,21 +26,11 @@ CELL = "cell"
 """Name of the link of a cell in the address of cells."""
 MOST = 4
 """Most cells of a page."""
-_OWN = frozenset(
-    {
-        "corruption",
-        "severity",
-        "family",
-        "parameters",
-        "corrupted_agents",
-        "methods",
-        "cooperative",
-        "detection",
-        "versus",
-    }
+_OWN = {
+    *"corruption severity family parameters corrupted_agents methods cooperative detection versus".split(),
     # Whose errors are listed, and whether any can be broken or fixed, follows from these.
-    | {"error_method", "listed"}
-)
+    *("error_method", "listed"),
+}
 _SHARED = tuple(field.name for field in fields(ReviewState) if field.name not in _OWN)
 _REMEMBERED = 30
 
@@ -115,7 +105,7 @@ class CellPair:
     def _give(self, cell: Page, state: ReviewState) -> None:
         if "drive" not in self._shares:
             # An episode that has ended waits at its last step.
-            state = replace(state, frame=min(state.frame, cell.model.frame_count(cell.state.drive) - 1))
+            state = replace(state, frame=min(state.frame, len(cell.model.sources[cell.state.drive]) - 1))
         with self._lock:
             if (given := self._given.get(id(cell))) is None:
                 return

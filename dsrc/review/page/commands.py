@@ -6,8 +6,9 @@ from functools import partial
 
 from dsrc.review.errors.index import next_error
 from dsrc.review.errors.report import first_unknown, shown_error
-from dsrc.review.page.controls import CONTROLS, Control, change_of, next_value
-from dsrc.review.page.protocol import GoesOn, Page, Shown
+from dsrc.review.page.controls import Control
+from dsrc.review.page.panels import CONTROLS
+from dsrc.review.page.protocol import GoesOn, Page
 from dsrc.review.state import Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS
 
@@ -51,7 +52,7 @@ def _look_for_error(page: Page, step: int, listed: Listed | None, goes_on: GoesO
     start = page.state
     wanted = replace(start, listed=listed or start.listed)
     name = _NAMES[wanted.listed]
-    if not page.model.method(start) or not page.model.labelled(start.drive):
+    if not page.model.method(start) or not page.model.sources[start.drive].labelled:
         page.tell(f"No {name}: nothing is judged without a detector and labels.")
         return
     detecting = False
@@ -119,7 +120,7 @@ def fly_to_selection(page: Page) -> None:
 
 def go_to_step(page: Page, name: str) -> None:
     """Go to the step of an episode at which something happens: the meeting, or a first step towards it."""
-    met = page.model.meeting(page.state.drive)
+    met = page.source.meeting
     if met is None:
         page.tell("No episode that has ended: nothing is met.")
     elif (row := met.row if name == "contact" else met.steps.get(name)) is not None:
@@ -129,9 +130,9 @@ def go_to_step(page: Page, name: str) -> None:
 
 
 def _take_next(control: Control, page: Page) -> None:
-    shown = Shown(page.model, page.state, page.view)
+    shown = page.shown
     if control.enabled(shown) and control.shown(shown):
-        page.update(**change_of(control, shown, next_value(control, shown)))
+        page.update(**control.changes(shown, control.next_value(shown)))
 
 
 COMMANDS: tuple[Command, ...] = (
@@ -140,8 +141,8 @@ COMMANDS: tuple[Command, ...] = (
     Command("Previous frame", "J", lambda page: page.step(-1)),
     Command("Ten frames forward", "pagedown", lambda page: page.step(STEP)),
     Command("Ten frames back", "pageup", lambda page: page.step(-STEP)),
-    Command("First frame", "home", lambda page: page.step(-page.model.frame_count(page.state.drive))),
-    Command("Last frame", "end", lambda page: page.step(page.model.frame_count(page.state.drive))),
+    Command("First frame", "home", lambda page: page.step(-len(page.source))),
+    Command("Last frame", "end", lambda page: page.step(len(page.source))),
     Command("Next missed object", "N", partial(go_to_error, step=1, listed="missed")),
     Command("Previous missed object", "N", partial(go_to_error, step=-1, listed="missed"), shift=True),
     Command("Next false detection", "P", partial(go_to_error, step=1, listed="false")),

@@ -11,7 +11,8 @@ import numpy as np
 from dsrc.review.labs.parameters import changed, parameters_of, parse_change
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import UP, CameraPose
-from dsrc.review.page.controls import CONTROLS, Choice, Control, Slider
+from dsrc.review.page.controls import Choice, Control, Slider
+from dsrc.review.page.panels import CONTROLS
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
 from sensors.corruptions import CLEAN, Changes, Condition, parse_agents
@@ -32,16 +33,9 @@ _FARTHEST_PLACE_M = 1e6
 _BETWEEN = "|"
 """Between the names of methods, which may hold commas."""
 _DEFAULTS = {field.name: getattr(ReviewState(), field.name) for field in fields(ReviewState)}
+_ROWS = {control.link: control for control in CONTROLS if control.link}
+"""Controls by their names in links; switches of one set share a name."""
 _PLAIN = re.compile(r"[\w.~-]+", re.ASCII)
-
-
-def _rows() -> dict[str, Control]:
-    """The first row of each name in links."""
-    rows: dict[str, Control] = {}
-    for control in CONTROLS:
-        if control.link:
-            rows.setdefault(control.link, control)
-    return rows
 
 
 def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) -> str:
@@ -49,7 +43,7 @@ def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) 
     parts, start = [], model.start
     if state.drive != start.drive:
         start = replace(start, **model.opening(state.drive))
-    for name, control in _rows().items():
+    for name, control in _ROWS.items():
         value = getattr(state, control.field)
         if not value == _DEFAULTS[control.field] == getattr(start, control.field):
             parts.append(f"{name}={_text(model, control.field, value)}")
@@ -72,7 +66,7 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
     complaints: list[str] = []
     parts, start = dict(parse_qsl(query, keep_blank_values=True)), state
     # What is broken and fixed can be listed once it is known against which run.
-    for name, control in sorted(_rows().items(), key=lambda row: row[1].field == "listed"):
+    for name, control in sorted(_ROWS.items(), key=lambda row: row[1].field == "listed"):
         if name not in parts:
             continue
         try:
@@ -82,13 +76,13 @@ def read_link(query: str, model: ReviewModel, state: ReviewState) -> tuple[Revie
             if name == "drive":
                 parts = {known: text for known, text in parts.items() if known not in _OF_DRIVE}
             elif name == "frame" and parts[name].isdecimal():
-                state = replace(state, frame=model.frame_count(state.drive) - 1)
-    first = model.first_row(state.drive)
-    if "frame" not in parts and model.grows(state.drive):
-        state = replace(state, frame=model.frame_count(state.drive) - 1)
+                state = replace(state, frame=len(model.sources[state.drive]) - 1)
+    source = model.sources[state.drive]
+    if "frame" not in parts and not source.ended:
+        state = replace(state, frame=len(source) - 1)
     elif "frame" not in parts and state.drive != start.drive:
         state = replace(state, **model.opening(state.drive))
-    state = replace(state, frame=max(state.frame, first))
+    state = replace(state, frame=max(state.frame, source.first))
     state, gone = _with_agents(state, model, parts)
     complaints += gone
     pose = None
@@ -119,7 +113,7 @@ def _with_agents(state: ReviewState, model: ReviewModel, parts: dict[str, str]) 
 
 def unknown_names(query: str) -> list[str]:
     """Return the names in a query that no link has."""
-    known = {*_rows(), VIEW, *OF_BROWSER}
+    known = {*_ROWS, VIEW, *OF_BROWSER}
     return [name for name, _ in parse_qsl(query, keep_blank_values=True) if name not in known] or (
         [query] if query and "=" not in query else []
     )
@@ -184,22 +178,23 @@ def _methods(control: Control, text: str, shown: Shown) -> tuple[str, ...]:
     return names
 
 
-def _placement(control: Control, text: str) -> tuple[float, ...]:
+def _numbers(text: str) -> tuple[float, ...]:
+    """Numbers between commas; NaN for what is none."""
     try:
-        numbers = tuple(float(part) for part in text.split(","))
+        return tuple(float(part) for part in text.split(","))
     except ValueError:
-        numbers = ()
-    bounds = (_FARTHEST_M, _FARTHEST_M, _FARTHEST_M, 360.0, 90.0)
+        return (math.nan,)
+
+
+def _placement(control: Control, text: str) -> tuple[float, ...]:
+    numbers, bounds = _numbers(text), (_FARTHEST_M, _FARTHEST_M, _FARTHEST_M, 360.0, 90.0)
     if len(numbers) != len(bounds) or not all(abs(n) <= bound for n, bound in zip(numbers, bounds, strict=True)):
         raise SettingsError(complaint("link", control.link, "five numbers: x, y, z, m, yaw and pitch, degrees", text))
     return numbers
 
 
 def _ruler(control: Control, text: str) -> tuple[float, ...]:
-    try:
-        ends = tuple(float(part) for part in text.split(",") if part)
-    except ValueError:
-        ends = (math.nan,)
+    ends = _numbers(text) if text else ()
     if len(ends) not in (0, 2, 4) or not all(abs(number) < _FARTHEST_PLACE_M for number in ends):
         raise SettingsError(complaint("link", control.link, "x and y of one end or of both, m", text))
     return ends
@@ -239,14 +234,8 @@ def _parsed(control: Control, text: str) -> Any:
 
 
 def _pose(text: str) -> CameraPose:
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        numbers = np.zeros(0)
-    if (
-        numbers.shape != (6,)
-        or not (np.abs(numbers) < _FARTHEST_PLACE_M).all()
-        or np.allclose(numbers[:3], numbers[3:])
-    ):
+    numbers = np.array(_numbers(text))
+    far = not (np.abs(numbers) < _FARTHEST_PLACE_M).all()
+    if numbers.shape != (6,) or far or np.allclose(numbers[:3], numbers[3:]):
         raise SettingsError(complaint("link", VIEW, "six numbers: position and point looked at", text))
     return CameraPose(numbers[:3], numbers[3:], UP)

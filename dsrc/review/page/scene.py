@@ -9,20 +9,9 @@ import viser
 from numpy.typing import NDArray
 from viser.transforms import SO3
 
-from dsrc.review import palette
+from dsrc.review import palette, shapes
 from dsrc.review.page.cameras import FOV_RAD, CameraPose
 from dsrc.review.palette import Rgb
-from dsrc.review.shapes import (
-    CUBE_FACES,
-    CUBE_VERTICES,
-    crossed,
-    dashed,
-    dashed_lines,
-    edges,
-    polyline,
-    quaternions,
-    roof_crosses,
-)
 from dsrc.review.sources.moment import CELL_M
 from dsrc.review.state import EPISODE_LAYERS, Theme
 from dsrc.review.static import StaticPart, body_shape
@@ -62,7 +51,7 @@ STYLES = {
     UNJUDGED: BoxStyle(None, 2.5, "solid", 0.16),
     SELECTED: BoxStyle(None, 4.0),
 }
-_FORMS = {"solid": edges, "dashed": dashed, "crossed": crossed}
+_FORMS = {"solid": shapes.edges, "dashed": shapes.dashed, "crossed": shapes.crossed, "roof": shapes.roof_crosses}
 _NO_LINES = np.zeros((0, 2, 3), np.float32)
 
 
@@ -141,8 +130,6 @@ class SceneWriter:
         self._look = palette.LOOKS["light"]
         self._on_click = on_click
         self._clickable: dict[str, tuple[Clicked, ...]] = {}
-        self._compared = 0
-        self._helpers = 0
 
     def clear(self) -> None:
         """Remove every node of the drive."""
@@ -195,7 +182,7 @@ class SceneWriter:
 
     def write(self, view: FrameView) -> None:
         """Draw a frame; the caller groups it with `atomic()`."""
-        self._look = palette.LOOKS[view.theme]
+        self._look = palette.LOOKS[view.state.theme]
         for agent in view.agents:
             self._write_agent(agent, view)
         drawn = {_agent_node(agent) for agent in view.agents}
@@ -203,56 +190,58 @@ class SceneWriter:
             self._nodes[name].visible = name in drawn
         self._write_bodies(view)
         for name in LAYERS:
-            off = name.split("/")[0] in view.layers_off
+            off = name.split("/")[0] in view.state.layers_off
             style = STYLES[name]
             if name == DETECTED_TRUTH and view.counts is not None:
                 # A detected object lies under its detection: a hairline is enough.
                 style = STYLES[OTHER_TRUTH]
-            if view.color_by != "verdict" and name != OTHER_TRUTH:
+            if view.state.color_by != "verdict" and name != OTHER_TRUTH:
                 # Colour tells one thing at a time; their forms say which are right and which wrong.
                 style = replace(style, rgb=None)
             self._write_boxes(name, view.layers[name], style, not off)
             if style.fill > 0.0:
                 self._make_clickable(f"{name}/faces", _boxes_clicked(view, name))
+        for name in ("helped", "compared"):
+            self._frame(name).visible = "detections" not in view.state.layers_off
         self._write_help(view)
         self._write_compared(view)
-        self._frame("links").visible = "links" not in view.layers_off
+        self._frame("links").visible = "links" not in view.state.layers_off
         self._lines("links/heard", view.linked.astype(np.float32), palette.OTHER, 1.0)
         self._write_moment(view)
         self._write_rings(view)
         self._write_ruler(view)
-        self._frame("world").visible = "world" not in view.layers_off
+        self._frame("world").visible = "world" not in view.state.layers_off
 
     def _write_rings(self, view: FrameView) -> None:
         """Draw circles around the ego, with their radii ahead of it."""
         around = np.linspace(0.0, 2.0 * np.pi, 73)
         circle = np.stack([np.cos(around), np.sin(around), 0.0 * around], axis=1)
         place = view.ego.review_from_body[:3, 3] + [0.0, 0.0, PLAN_M]
-        lines = [polyline(place + radius * circle) for radius in RINGS_M] if view.rings else [_NO_LINES]
+        lines = [shapes.polyline(place + radius * circle) for radius in RINGS_M] if view.state.rings else [_NO_LINES]
         self._lines("rings/circles", np.concatenate(lines), self._look.ink, 1.0)
         for radius in RINGS_M:
             ahead = place + radius * view.ego.review_from_body[:3, 0]
-            self._label(f"rings/{radius}", f"{radius} m" if view.rings else "", ahead)
+            self._label(f"rings/{radius}", f"{radius} m", ahead, view.state.rings)
 
     def _write_ruler(self, view: FrameView) -> None:
         """Draw the ruler with what it measures, or a mark at its first end."""
-        ends = np.array(view.ruler, np.float64).reshape(-1, 2)
+        ends = np.array(view.state.ruler, np.float64).reshape(-1, 2)
         ground = view.ego.review_from_body[2, 3]
         ends = np.column_stack([ends, np.full(len(ends), ground + 2.0 * PLAN_M)])
         posts = np.stack([ends, ends + np.array([0.0, 0.0, 1.0])], axis=1).astype(np.float32)
-        lines = np.concatenate([posts, polyline(ends)]) if len(ends) else _NO_LINES
+        lines = np.concatenate([posts, shapes.polyline(ends)]) if len(ends) else _NO_LINES
         self._lines("ruler/line", lines, self._look.ink, 4.0)
-        self._label("ruler/text", ruler_report(view), ends.mean(axis=0) if len(ends) else np.zeros(3))
+        said = ruler_report(view)
+        self._label("ruler/text", said, ends.mean(axis=0) if said else np.zeros(3), bool(said))
 
-    def _label(self, name: str, text: str, place: NDArray[np.float64]) -> None:
-        if not text:
-            self._hide(name)
-            return
+    def _label(self, name: str, text: str, place: NDArray[np.float64], shown: bool, **where: Any) -> None:
         if name not in self._nodes:
             self._frame(name.split("/")[0])
-            self._nodes[name] = self.scene.add_label(f"{self.root}/{name}", text, font_screen_scale=0.7)
+            self._nodes[name] = self.scene.add_label(f"{self.root}/{name}", text, font_screen_scale=0.7, **where)
         node = self._nodes[name]
-        node.text, node.position, node.visible = text, tuple(place), True
+        node.visible = shown
+        if shown:
+            node.text, node.position = text, tuple(place)
 
     def _write_agent(self, agent: AgentView, view: FrameView) -> None:
         name = _agent_node(agent)
@@ -260,21 +249,13 @@ class SceneWriter:
         self._frame(name)
         lidar = self._frame(f"{name}/lidar")
         place_frame(lidar, agent.review_from_lidar)
-        self._write_points(f"{name}/lidar/points", agent, view.point_size_m)
-        self._write_lost(f"{name}/lidar/lost", agent, view.point_size_m)
-        if f"{name}/label" not in self._nodes:
-            self._nodes[f"{name}/label"] = self.scene.add_label(
-                f"{self.root}/{name}/label",
-                "EGO" if agent.is_ego else agent.title,
-                font_screen_scale=0.7,
-                anchor="bottom-center",
-            )
-        label = self._nodes[f"{name}/label"]
+        self._write_points(f"{name}/lidar/points", agent, view.state.point_size_m)
+        self._write_lost(f"{name}/lidar/lost", agent, view.state.point_size_m)
         # The others have their colour and the legend; the name that is asked for is shown.
         asked = agent.is_ego or agent.agent_id == getattr(view.details, "object_id", None)
-        label.visible = asked and "labels" not in view.layers_off
-        if label.visible:
-            label.position = tuple(agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2])
+        shown = asked and "labels" not in view.state.layers_off
+        place = agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2]
+        self._label(f"{name}/label", "EGO" if agent.is_ego else agent.title, place, shown, anchor="bottom-center")
 
     def _write_points(self, name: str, agent: AgentView, point_size_m: float) -> None:
         node = self._nodes.get(name)
@@ -286,9 +267,7 @@ class SceneWriter:
         if self.point_step_m > 0.0:
             points = np.round(points / self.point_step_m) * np.float32(self.point_step_m)
         if node is None:
-            node = self._nodes[name] = self.scene.add_point_cloud(
-                f"{self.root}/{name}", points, agent.colors, point_shape="circle", point_shading="flat"
-            )
+            node = self._nodes[name] = self._cloud(name, points, agent.colors)
         else:
             _send(node, "points", points.astype(np.float16))
             _send(node, "colors", agent.colors)
@@ -299,21 +278,22 @@ class SceneWriter:
         if len(agent.lost_points) == 0:
             self._hide(name)
             return
-        color = np.array(palette.LOST, np.uint8)
         if name not in self._nodes:
-            self._nodes[name] = self.scene.add_point_cloud(
-                f"{self.root}/{name}", agent.lost_points, color, point_shape="circle", point_shading="flat"
-            )
+            self._nodes[name] = self._cloud(name, agent.lost_points, np.array(palette.LOST, np.uint8))
         node = self._nodes[name]
         if self._drawn.get(name) is not agent:
             node.points, self._drawn[name] = agent.lost_points, agent
         node.point_size, node.visible = point_size_m, True
 
+    def _cloud(self, name: str, points: NDArray[np.float32], colors: NDArray[np.uint8]) -> Any:
+        name = f"{self.root}/{name}"
+        return self.scene.add_point_cloud(name, points, colors, point_shape="circle", point_shading="flat")
+
     def _write_bodies(self, view: FrameView) -> None:
-        self._frame("bodies").visible = "bodies" not in view.layers_off
+        self._frame("bodies").visible = "bodies" not in view.state.layers_off
         colors = np.full((len(view.truth), 3), self._look.body, np.uint8)
         for row, agent in enumerate(view.agents):
-            if agent.is_ego or view.color_by == "agent":
+            if agent.is_ego or view.state.color_by == "agent":
                 colors[view.agent_of == row] = agent.rgb
         base = view.truth.center - [0.0, 0.0, 0.5] * view.truth.size
         for label, class_name in enumerate(CLASSES):
@@ -321,7 +301,7 @@ class SceneWriter:
             if not rows.any():
                 self._hide(name)
                 continue
-            pose = (quaternions(view.truth.yaw[rows]), base[rows], view.truth.size[rows])
+            pose = (shapes.quaternions(view.truth.yaw[rows]), base[rows], view.truth.size[rows])
             self._batch(name, body_shape(class_name), pose, colors[rows], opacity=None)
             clicked = tuple(Clicked(object_id=number) for number in view.truth.object_id[rows].tolist())
             self._make_clickable(name, clicked)
@@ -347,63 +327,65 @@ class SceneWriter:
         rgb = style.rgb or self._look.ink
         self._lines(f"{name}/edges", lines, rgb, style.thickness)
         if style.fill > 0.0:
-            pose = (quaternions(boxes.yaw), boxes.center, boxes.size)
+            pose = (shapes.quaternions(boxes.yaw), boxes.center, boxes.size)
             colors = np.tile(np.array(rgb, np.uint8), (len(boxes), 1))
-            self._batch(f"{name}/faces", (CUBE_VERTICES, CUBE_FACES), pose, colors, style.fill)
+            self._batch(f"{name}/faces", (shapes.CUBE_VERTICES, shapes.CUBE_FACES), pose, colors, style.fill)
 
     def _write_help(self, view: FrameView) -> None:
         """Draw boxes in the colour of the agent to whom most of their score is due."""
-        help, none = view.help, Boxes.zeros()
-        helpers = 0 if help is None else len(view.agents)
-        for row in range(max(helpers, self._helpers)):
-            found, made = (none, none) if help is None or row >= helpers else (help.found[row], help.made[row])
-            rgb = palette.agent_color(row)
-            self._write_boxes(f"helped/found_{row}", found, BoxStyle(rgb, 3.0, "solid", 0.25), len(found) > 0)
-            self._write_boxes(f"helped/made_{row}", made, BoxStyle(rgb, 3.0, "crossed", 0.25), len(made) > 0)
-        missed, harmed = (none, none) if help is None else (help.missed, help.harmed)
-        if helpers or self._helpers:
-            self._write_boxes("helped/missed", missed, STYLES[FALSE_NEGATIVES], len(missed) > 0)
-            self._lines("helped/harmed", roof_crosses(harmed), palette.FP, 4.0)
-        self._frame("helped").visible = "detections" not in view.layers_off
-        self._helpers = helpers
+        drawn: list[tuple[str, Boxes, BoxStyle]] = []
+        if (help := view.help) is not None:
+            for row, (found, made) in enumerate(zip(help.found, help.made, strict=True)):
+                rgb = palette.agent_color(row)
+                drawn.append((f"helped/{row}/found", found, BoxStyle(rgb, 3.0, "solid", 0.25)))
+                drawn.append((f"helped/{row}/made", made, BoxStyle(rgb, 3.0, "crossed", 0.25)))
+            drawn.append(("helped/missed", help.missed, STYLES[FALSE_NEGATIVES]))
+            drawn.append(("helped/harmed", help.harmed, BoxStyle(palette.FP, 4.0, "roof")))
+        for name, boxes, style in drawn:
+            self._write_boxes(name, boxes, style, len(boxes) > 0)
+        self._hide_others("helped", [name for name, _, _ in drawn])
 
     def _write_compared(self, view: FrameView) -> None:
         """Draw the boxes of further methods, each in its colour and a little around those of the others."""
-        self._frame("compared").visible = "detections" not in view.layers_off
-        for row in range(max(len(view.compared), self._compared)):
-            method = view.compared[row] if row < len(view.compared) else None
-            for kind, form in (("hits", edges), ("false", crossed), ("missed", dashed)):
-                boxes = Boxes.zeros() if method is None else getattr(method, kind)
+        for row, method in enumerate(view.compared):
+            for kind, form in (("hits", shapes.edges), ("false", shapes.crossed), ("missed", shapes.dashed)):
+                boxes = getattr(method, kind)
                 around = replace(boxes, size=boxes.size + AROUND_M * (row + 1))
                 self._lines(f"compared/{row}/{kind}", form(around), palette.method_color(row + 1), 2.5)
-        self._compared = len(view.compared)
+        self._hide_others("compared", [f"compared/{row}/" for row in range(len(view.compared))])
+
+    def _hide_others(self, parent: str, drawn: Sequence[str]) -> None:
+        """Hide the nodes below a parent whose names begin otherwise."""
+        for name in self._nodes:
+            if name.startswith(f"{parent}/") and not name.startswith(tuple(drawn)):
+                self._nodes[name].visible = False
 
     def _write_moment(self, view: FrameView) -> None:
         """Draw what the ego of an episode plans, tracks, hears and is made to believe; hide it elsewhere."""
         moment = view.moment
         for name in EPISODE_LAYERS:
-            self._frame(name).visible = moment is not None and name not in view.layers_off
+            self._frame(name).visible = moment is not None and name not in view.state.layers_off
         if moment is None:
             return
         ground = view.ego.review_from_body[2, 3] + PLAN_M
         plan = moment.plan[:, :3] + [0.0, 0.0, PLAN_M]
         route = np.column_stack([moment.route, np.full(len(moment.route), ground)])
-        self._lines("plan/route", dashed_lines(polyline(route), 1.0), palette.OTHER, 1.5)
-        self._lines("plan/way", polyline(plan), view.ego.rgb, 7.0)
+        self._lines("plan/route", shapes.dashed_lines(shapes.polyline(route), 1.0), palette.OTHER, 1.5)
+        self._lines("plan/way", shapes.polyline(plan), view.ego.rgb, 7.0)
         decisive = moment.tracks.object_id == moment.decisive
         heading = np.column_stack([np.nan_to_num(moment.track_velocity), np.zeros(len(moment.tracks))])
         ahead = np.stack([moment.tracks.center, moment.tracks.center + heading], axis=1).astype(np.float32)
-        self._lines("tracks/boxes", edges(moment.tracks[~decisive]), palette.method_color(1), 1.5)
-        self._lines("tracks/decisive", edges(moment.tracks[decisive]), palette.method_color(1), 5.0)
+        self._lines("tracks/boxes", shapes.edges(moment.tracks[~decisive]), palette.method_color(1), 1.5)
+        self._lines("tracks/decisive", shapes.edges(moment.tracks[decisive]), palette.method_color(1), 5.0)
         self._lines("tracks/second_ahead", ahead, palette.method_color(1), 2.0)
-        self._lines("claims/boxes", crossed(moment.claims), palette.FATE_COLORS[SCATTERED], 3.0)
+        self._lines("claims/boxes", shapes.crossed(moment.claims), palette.FATE_COLORS[SCATTERED], 3.0)
         line, heard = moment.links.line.astype(np.float32), moment.links.received
         placed = np.isfinite(line).all(axis=(1, 2))
         self._lines("links/received", line[placed & heard], view.ego.rgb, 2.0)
-        self._lines("links/lost", dashed_lines(line[placed & ~heard], 1.5), palette.FP, 2.0)
+        self._lines("links/lost", shapes.dashed_lines(line[placed & ~heard], 1.5), palette.FP, 2.0)
         self._write_unseen(moment.unseen, view.ego.review_from_lidar[:2, 3], ground)
         touched = view.truth[view.agent_of == 0] if moment.contact is not None else Boxes.zeros()
-        self._lines("plan/contact", crossed(replace(touched, size=touched.size + 0.5)), palette.FP, 8.0)
+        self._lines("plan/contact", shapes.crossed(replace(touched, size=touched.size + 0.5)), palette.FP, 8.0)
 
     def _write_unseen(self, unseen: NDArray[np.bool_] | None, xy: NDArray[np.float64], ground_m: float) -> None:
         """Shade the road where nobody whose sweep arrived sees it."""

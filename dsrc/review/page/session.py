@@ -24,10 +24,11 @@ from dsrc.review.page.cells import OPEN_KEY, CellPair, cells_of, compare_address
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
 from dsrc.review.page.link import write_link
 from dsrc.review.page.panels import PANELS
-from dsrc.review.page.panels.drawn import LegendPanel
+from dsrc.review.page.panels.legend import LegendPanel
 from dsrc.review.page.protocol import GoesOn, Shown
 from dsrc.review.page.scene import Clicked
 from dsrc.review.page.stage import Stage, root_of
+from dsrc.review.sources.base import Source
 from dsrc.review.state import Camera, ReviewState, with_changes
 from dsrc.review.static import StaticPart
 from dsrc.review.texts import quoted
@@ -66,9 +67,19 @@ class Session:
     Callbacks of viser run in a pool of threads and only replace the state. One worker thread draws the newest state
     and skips older ones.
 
-    Attributes: those of `Page`, and
+    Attributes:
+        model: drives, detector and caches.
+        using_model: to be held while the model is asked.
+        worker: detects over whole runs in the background.
+        notes: on the errors, None where they cannot be kept.
         client: the browser; a server does in its place.
+        gui, scene: its controls and nodes.
         camera, stage, address: of this browser; the address shows what is drawn.
+        state: newest settings.
+        view: last drawn frame, None before the first.
+        last_corruption: last corruption other than `clean`, "" before the first.
+        last_parameters: its parameters that differed from those of the severity.
+        panels: parts of its controls.
         pair: cells side by side that this one belongs to, None for a page of its own.
         place: of this cell among them, from the upper left.
     """
@@ -102,15 +113,11 @@ class Session:
         self._reports, self._overviews, self._gallery = Reports(model), Overviews(model), Gallery(model)
         # A link that says what is selected and not from where it is seen looks at it.
         self._explaining = Latest(0.0)
-        self._looks = (
-            pose is None
-            and model.meeting(state.drive) is None
-            and (state.object_id is not None or state.detection is not None)
-        )
+        self._looks = pose is None and model.sources[state.drive].meeting is None and state.selects
         self.pair: CellPair | None = None
         self.place = 0
         self._refresh_at, self._busy, self._version = 0.0, False, 0
-        self._seen_frames = model.frame_count(state.drive)
+        self._seen_frames = len(model.sources[state.drive])
         self._world_of, self._placed = world_of, -1
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
@@ -131,8 +138,8 @@ class Session:
         self._thread.start()
 
     def _build(self, notice: str) -> None:
-        self.stage = Stage(self.client, len(self.model.drives), on_click=self._select)
-        self.stage.set_theme(self.state.theme)
+        self.stage = Stage(self.client, len(self.model.sources), on_click=self._select)
+        self.stage.set_look(self.state.theme, self.state.cut)
         self._notice = self.gui.add_markdown(_quoted(notice), visible=bool(notice))
         self.panels = [make(self) for make in PANELS]
         with self.gui.add_folder("Help", expand_by_default=False):
@@ -168,10 +175,24 @@ class Session:
             if state.camera != self.state.camera:
                 self.camera.place(state.camera)
             if state.drive != self.state.drive:
-                self._seen_frames = self.model.frame_count(state.drive)
+                self._seen_frames = len(self.model.sources[state.drive])
                 state = replace(state, **(self.model.opening(state.drive) | changes))  # type: ignore[arg-type]
             self.state = state
             self._draw_soon()
+
+    @property
+    def source(self) -> Source:
+        """Source that is shown."""
+        return self.model.sources[self.state.drive]
+
+    @property
+    def shown(self) -> Shown:
+        """What controls and panels are set from now."""
+        return Shown(self.model, self.state, self.view)
+
+    def link(self, state: ReviewState, pose: CameraPose | None = None) -> str:
+        """Query of a state and a camera, see `write_link`."""
+        return write_link(self.model, state, pose)
 
     @property
     def root(self) -> str:
@@ -185,8 +206,7 @@ class Session:
         """
         with self._changed:
             # First before count: a frame may come in between.
-            first = self.model.first_row(self.state.drive)
-            count = self.model.frame_count(self.state.drive)
+            first, count = self.source.first, len(self.source)
             if count == 0:
                 return
             past = max(self.state.frame, first) + frames - first
@@ -224,24 +244,24 @@ class Session:
         self._busy |= not whole
         return list(made)
 
-    def why_crashed(self, drive: int) -> str:
+    def why_crashed(self, source: Source) -> str:
         """Cause of the crash of an episode, looked for in the background; "" without a crash."""
-        met, explain = self.model.meeting(drive), getattr(self.model.sources[drive], "explain", None)
-        if met is None or explain is None:
+        met = source.meeting
+        if met is None:
             return ""
         if not met.explained:
             self._busy = True
             if not self._explaining.running:
-                self._explaining.submit(explain)
+                self._explaining.submit(source.explain)
         return met.why if met.explained else "Looking for the cause …"
 
     def over_time(self, state: ReviewState, view: FrameView) -> str:
         """SVG of the plots over time of what is selected, as far as it is known; "" without any."""
-        history, number = self.model.histories[state.drive], state.object_id
-        if (number is not None or state.detection is not None) and history.lacking():
+        history, number, source = self.model.histories[state.drive], state.object_id, self.model.sources[state.drive]
+        if state.selects and history.lacking():
             self.worker.read_over(history)
             self._busy = True
-        elif number is not None and not self.model.grows(state.drive) and history.lacks(number):
+        elif number is not None and source.ended and history.lacks(number):
             self._let_go("object", f"one of the objects of {self.model.title(state.drive)}", number)
         with self.using_model:
             return over_time(self.model, state, view)
@@ -395,28 +415,28 @@ class Session:
             with self._changed:
                 self._drawn = number
                 self._changed.notify_all()
-            self.address.write(lambda: write_link(self.model, self.state, self.camera.pose))
+            self.address.write(lambda: self.link(self.state, self.camera.pose))
 
     def _refresh(self) -> None:
         """Follow a drive that grows, and set the panels again while something goes on, and once after it."""
         if time.monotonic() < self._refresh_at:
             return
-        was, self._busy = self._busy, bool(self.detecting()) or self.model.grows(self.state.drive)
-        if self._seen_frames != (frames := self.model.frame_count(self.state.drive)):
+        was, self._busy = self._busy, bool(self.detecting()) or not self.source.ended
+        if self._seen_frames != (frames := len(self.source)):
             before, self._seen_frames = self._seen_frames, frames
             with self._changed:
                 # Whoever looks at an earlier frame stays there, as long as it is kept.
                 newest = self.view is None or self.state.frame >= before - 1
-                oldest = self.model.first_row(self.state.drive)
+                oldest = self.source.first
                 self.update(frame=frames - 1 if newest else max(self.state.frame, oldest))
                 # A frame that stays is drawn again, too: its timeline is longer.
                 self._draw_soon()
-        elif self._version != self.model.stores[self.state.drive].version:
+        elif self._version != self.source.version:
             with self._changed:
                 self._draw_soon()
         elif self._busy or was:
             self._show_panels()
-        self._refresh_at = time.monotonic() + (GROW_S if self.model.grows(self.state.drive) else REFRESH_S)
+        self._refresh_at = time.monotonic() + (GROW_S if not self.source.ended else REFRESH_S)
 
     def _next_work(self) -> tuple[ReviewState, int] | None:
         """Newest state and its number, once there is something to do; None when the page is closed.
@@ -429,9 +449,7 @@ class Session:
                 due = [self._next_at] if self._playing else []
                 due += [self.address.due] if self.address.due is not None else []
                 due += [self._rest_at] if self._rest_at is not None and not self._playing else []
-                due += (
-                    [self._refresh_at] if self._busy or self.detecting() or self.model.grows(self.state.drive) else []
-                )
+                due += [self._refresh_at] if self._busy or self.detecting() or not self.source.ended else []
                 if self._drawn != self._wanted:
                     return self.state, self._wanted
                 if self._playing and now >= self._next_at:
@@ -448,9 +466,8 @@ class Session:
     def _draw(self, state: ReviewState) -> None:
         """Draw a state, or tell why that cannot be: the next one is drawn all the same."""
         try:
-            self.stage.set_theme(state.theme)
-            self.stage.cut_walls(state.cut)
-            self._version = self.model.stores[state.drive].version
+            self.stage.set_look(state.theme, state.cut)
+            self._version = self.model.sources[state.drive].version
             shown, first = self._moving(state), self.view is None
             if first:
                 # The browser shows it while the rest is computed and sent.
@@ -525,7 +542,7 @@ class Session:
         self._failed = True
 
     def _show_panels(self) -> None:
-        shown = Shown(self.model, self.state, self.view)
+        shown = self.shown
         for panel in self.panels:
             try:
                 panel.show(shown)
@@ -546,11 +563,11 @@ class Session:
         """Open cells with linked cameras, or go back to one page from there."""
         pose = self.camera.pose
         if self.pair is not None:
-            address = f"/?{write_link(self.model, self.state, pose)}"
+            address = f"/?{self.link(self.state, pose)}"
         else:
             with self.using_model:
                 cells = cells_of(self.model, self.state, self.last_corruption)
-            address = compare_address(*(write_link(self.model, one, pose) for one in cells))
+            address = compare_address(*(self.link(one, pose) for one in cells))
         self.client.local_storage.set_item(OPEN_KEY, address)
 
     def _camera_moved(self, _: object) -> None:

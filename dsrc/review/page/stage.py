@@ -37,28 +37,22 @@ class Stage:
         self.roots = [client.scene.add_frame(root_of(row), show_axes=False, visible=False) for row in range(drives)]
         self.writer = self._writer_of(0)
 
-    def set_theme(self, theme: Theme) -> None:
-        """Set panels, sky and world to a theme."""
-        if self._theme == theme:
+    def set_look(self, theme: Theme, cut: bool) -> None:
+        """Set panels, sky and world to a theme, and let walls and plants end low, or stand as they are."""
+        if (theme, cut) == (self._theme, self._cut):
             return
-        self._theme = theme
-        self._client.gui.configure_theme(
-            dark_mode=theme == "dark",
-            show_logo=False,
-            show_share_button=False,
-            brand_color=(56, 150, 255),
-            control_width="medium",
-        )
-        set_sky(self._client.scene, theme)
+        if theme != self._theme:
+            self._client.gui.configure_theme(
+                dark_mode=theme == "dark",
+                show_logo=False,
+                show_share_button=False,
+                brand_color=(56, 150, 255),
+                control_width="medium",
+            )
+            set_sky(self._client.scene, theme)
+        self._theme, self._cut = theme, cut
         if self._world is not None:
             self.place_world(self._world)
-
-    def cut_walls(self, cut: bool) -> None:
-        """Let walls and plants end low, or stand as they are."""
-        if self._cut != cut:
-            self._cut = cut
-            if self._world is not None:
-                self.place_world(self._world)
 
     def place_world(self, parts: Sequence[StaticPart]) -> None:
         """Draw the static world of the shown drive."""

@@ -1,10 +1,11 @@
-"""Source and DetectionSet: what a review page reads frames and detections from; DriveSource, that of a drive."""
+"""Source and MemorySet: what a review page reads frames and detections from; DriveSource, that of a drive."""
 
 import contextlib
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,12 @@ from dsrc.evaluation.detection_table import DetectionTable, join_tables
 from sensors.corruptions import Condition
 from sensors.frame import Frame
 from sim.errors import DataError, UserError, complaint
+
+if TYPE_CHECKING:
+    # The closed loop takes a second to import.
+    from dsrc.closed_loop.log import EpisodeLog
+    from dsrc.review.sources.meeting import Meeting
+    from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
 
 Kind = Literal["drive", "episode", "live"]
 
@@ -36,71 +43,13 @@ class Setup:
     cooperative: bool = True
 
 
-class DetectionSet(Protocol):
-    """Named detections of one method in the frames of a source, recorded or computed; threads may share it.
+class MemorySet:
+    """Named detections of one method in the frames of a source, by frame; threads may fill and read it at once.
 
     Attributes:
         name: of the method, as shown.
         recorded: True for what cannot be computed here.
     """
-
-    name: str
-    recorded: bool
-
-    def conditions(self) -> tuple[Condition, ...] | None:
-        """Conditions with detections; None for any that is computed."""
-        ...
-
-    def get(self, row: int, setup: Setup) -> DetectionTable | None:
-        """Return the detections in one frame; None where they are unknown."""
-        ...
-
-    def rows(self, setup: Setup) -> NDArray[np.int64]:
-        """Return the (K,) rows of the frames with known detections, ascending."""
-        ...
-
-    def run(self, setup: Setup) -> DetectionTable:
-        """Return all known detections, in the order of the frames; `position` is the row of a frame."""
-        ...
-
-
-class Source(Protocol):
-    """Frames of a drive, an episode or a running simulation, and the detections in them.
-
-    Attributes:
-        name: as shown.
-        kind: what it is.
-        protocol: content of `data_protocol.yaml`; empty without one.
-        seed: of the corruptions.
-        sets: sets of detections by name.
-    """
-
-    name: str
-    kind: Kind
-    protocol: Mapping[str, Any]
-    seed: int
-    sets: dict[str, DetectionSet]
-
-    def __len__(self) -> int:
-        """Return the number of frames, which may grow."""
-        ...
-
-    def read(self, row: int) -> Frame:
-        """Return a frame as recorded.
-
-        Raises:
-            DataError: it is damaged, or no longer kept.
-        """
-        ...
-
-    @property
-    def labelled(self) -> bool:
-        """Whether there is ground truth; without it nothing is judged."""
-        ...
-
-
-class MemorySet:
-    """Set of detections in memory, filled frame by frame; threads may fill and read it at once. See `DetectionSet`."""
 
     def __init__(self, name: str, recorded: bool = True) -> None:
         self.name, self.recorded = name, recorded
@@ -129,6 +78,10 @@ class MemorySet:
         """Setup of the stored tables: recorded detections have their own ego and cooperation."""
         return Setup(setup.condition) if self.recorded else setup
 
+    def _known(self, setup: Setup) -> dict[int, DetectionTable]:
+        """Tables by row; the lock is held."""
+        return self._tables.get(self._own(setup), {})
+
     def conditions(self) -> tuple[Condition, ...] | None:
         """Conditions with detections; None for any that is computed."""
         if not self.recorded:
@@ -139,29 +92,96 @@ class MemorySet:
     def get(self, row: int, setup: Setup) -> DetectionTable | None:
         """Detections in one frame; None where they are unknown, or those of another ego."""
         with self._lock:
-            table = self._tables.get(self._own(setup), {}).get(row)
+            table = self._known(setup).get(row)
         return None if table is None or setup.ego_id not in (None, int(table.ego_id[0])) else table
 
     def rows(self, setup: Setup) -> NDArray[np.int64]:
-        """(K,) rows of the frames with known detections, ascending."""
+        """(K,) rows of the frames with known detections of the ego, ascending."""
         with self._lock:
-            return np.array(sorted(self._tables.get(self._own(setup), {})), np.int64)
+            known = sorted(self._known(setup))
+        if setup.ego_id is not None:
+            known = [row for row in known if self.get(row, setup) is not None]
+        return np.array(known, np.int64)
 
     def run(self, setup: Setup) -> DetectionTable:
-        """All known detections, in the order of the frames."""
-        setup = self._own(setup)
+        """All known detections of the ego, in the order of the frames; `position` is the row of a frame."""
         with self._lock:
-            changes, tables = self._changes, dict(self._tables.get(setup, {}))
-            known = self._joined.get(setup)
+            changes, known = self._changes, self._joined.get(setup)
         if known is not None and known[0] == changes:
             return known[1]
-        joined = join_tables([tables[row] for row in sorted(tables)])
+        tables = [self.get(row, setup) for row in self.rows(setup).tolist()]
+        joined = join_tables([table for table in tables if table is not None])
         with self._lock:
             self._joined[setup] = changes, joined
         return joined
 
 
-class DriveSource:
+class Source:
+    """Frames of a drive, an episode or a running simulation, and the detections in them.
+
+    Attributes:
+        name: as shown.
+        kind: what it is.
+        protocol: content of `data_protocol.yaml`; empty without one.
+        seed: of the corruptions.
+        sets: sets of detections by name.
+        folder: of the drive; None without one.
+        first: row of the oldest frame that is kept.
+        ended: whether no more frames come.
+        version: number that changes where there is more of frames that were read before.
+        note: what is missing, "" for nothing.
+        fault: corruption, channel and faults under which an episode was driven, as a table has them.
+        log: of an episode that has ended; None elsewhere.
+        meeting: contact or nearest pass of such an episode; None elsewhere.
+    """
+
+    kind: Kind = "drive"
+    folder: Path | None = None
+    first, version = 0, 0
+    ended = True
+    note, fault = "", ""
+    log: "EpisodeLog | None" = None
+    meeting: "Meeting | None" = None
+
+    def __init__(self, name: str, protocol: Mapping[str, Any] | None = None, seed: int = SEED) -> None:
+        self.name, self.seed = name, seed
+        self.protocol: Mapping[str, Any] = protocol or {}
+        self.sets: dict[str, MemorySet] = {}
+
+    def __len__(self) -> int:
+        """Return the number of frames, which may grow."""
+        raise NotImplementedError
+
+    def read(self, row: int) -> Frame:
+        """Return a frame as recorded.
+
+        Raises:
+            DataError: it is damaged, or no longer kept.
+        """
+        raise NotImplementedError
+
+    def outline(self, row: int) -> Frame:
+        """Return a frame whose sweeps may be missing where they take long to make; raises as `read`."""
+        return self.read(row)
+
+    @property
+    def labelled(self) -> bool:
+        """Whether there is ground truth; without it nothing is judged."""
+        raise NotImplementedError
+
+    def moment(self, row: int) -> "EpisodeMoment | None":
+        """Return what the ego of an episode saw, believed and planned at a step; None elsewhere."""
+        return None
+
+    def timeline(self) -> "EpisodeTimeline | None":
+        """Return the course of an episode so far; None elsewhere."""
+        return None
+
+    def explain(self) -> None:
+        """Find what takes long: the cause of a crash, and the sweeps of an episode."""
+
+
+class DriveSource(Source):
     """Frames of a drive.
 
     Attributes: those of `Source`, and
@@ -171,15 +191,11 @@ class DriveSource:
         DataError: the drive has no frame.
     """
 
-    kind: Kind = "drive"
-
     def __init__(self, drive: Drive, seed: int = SEED) -> None:
         if len(drive.frames) == 0:
             raise DataError(complaint(drive.drive, "frames", "at least one frame", "none"))
-        self.drive, self.seed = drive, seed
-        self.name = drive.drive.name
-        self.protocol: Mapping[str, Any] = getattr(drive, "protocol", {})
-        self.sets: dict[str, DetectionSet] = {}
+        super().__init__(drive.drive.name, getattr(drive, "protocol", {}), seed)
+        self.drive, self.folder = drive, drive.drive
         self._labelled: bool | None = None
 
     def __len__(self) -> int:

@@ -12,7 +12,7 @@ from sensors.frame import Frame
 
 
 class ComputedSet(MemorySet):
-    """Detections of a detector in the frames of a source, by the protocol of `dsrc evaluate`; see `DetectionSet`.
+    """Detections of a detector in the frames of a source, by the protocol of `dsrc evaluate`.
 
     Args:
         detector: the detector; one frame at a time.

@@ -2,8 +2,6 @@
 
 import contextlib
 import logging
-from collections.abc import Mapping
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,11 +10,11 @@ from numpy.typing import NDArray
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.recast import RecastSenses, recast_senses
 from dsrc.closed_loop.types import EgoState, Percept, Tick
-from dsrc.evaluation.detection_table import one_frame
+from dsrc.evaluation.detection_table import DetectionTable, one_frame
 from dsrc.ops.detections import Detections
-from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
+from dsrc.review.sources.base import Kind, MemorySet, Source
 from dsrc.review.sources.live import KEPT
-from dsrc.review.sources.meeting import Meeting, meeting_of
+from dsrc.review.sources.meeting import meeting_of
 from dsrc.review.sources.moment import RUNNING, EpisodeMoment, EpisodeTimeline, Links
 from sensors.corruptions import CLEAN
 from sensors.frame import AgentFrame, Frame, count_points
@@ -41,7 +39,7 @@ _LIDAR_M = 1.9
 """Height of a LiDAR on the ego, where the pose of its sweeps is not handed over, m."""
 
 
-class EpisodeSource:
+class EpisodeSource(Source):
     """Frames of an episode, which may still run: road users as ground truth, percepts and tracks as detections.
 
     Agents have points where sweeps are handed over, in the latest frames.
@@ -49,35 +47,23 @@ class EpisodeSource:
     Attributes: those of `Source`, and
         protocol: names the scenario, see `place`; empty before that.
         sets: `PERCEPTS` and `TRACKS`.
-        ended: whether no more steps come.
-        fault: corruption, channel and faults under which it was driven, as a table has them.
-        log: of an episode that has ended; None before that.
         senses: casts the sweeps of the log again once they are open; None without a log, or where it has none.
-        meeting: contact or nearest pass of the log; None without one.
     """
 
     kind: Kind = "episode"
     labelled = True
-    seed = SEED
 
     def __init__(self, name: str) -> None:
-        self.name, self.ended, self.fault = name, False, ""
-        self.protocol: Mapping[str, Any] = {}
+        super().__init__(name)
+        self.ended = False
         self._percept_set, self._track_set = MemorySet(PERCEPTS), MemorySet(TRACKS)
-        self.sets: dict[str, DetectionSet] = {PERCEPTS: self._percept_set, TRACKS: self._track_set}
+        self.sets = {PERCEPTS: self._percept_set, TRACKS: self._track_set}
         self._ticks: list[Tick] = []
         self._percepts: list[Percept | None] = []
         self._lidars: list[NDArray[np.float64]] = []
         self._sensed: dict[int, Frame] = {}
         self._ego_id, self._outcome, self._message = -1, RUNNING, ""
-        self.log: EpisodeLog | None = None
         self.senses: RecastSenses | None = None
-        self.meeting: Meeting | None = None
-
-    @property
-    def version(self) -> int:
-        """Number that changes where frames change that were read before: their sweeps can be cast."""
-        return int(self.senses is not None and self.senses.ready)
 
     def put(
         self, tick: Tick, ego_id: int, sensed: Frame | None = None, lidar: NDArray[np.float64] | None = None
@@ -119,6 +105,7 @@ class EpisodeSource:
         if self.senses is not None:
             with contextlib.suppress(UserError):  # that the world is not drawn is told
                 self.senses.open()
+                self.version = 1
         if self.log is not None and self.meeting is not None:
             self.meeting.explain(self.log)
 
@@ -199,7 +186,7 @@ class EpisodeSource:
             message=self._message,
         )
 
-    def _judged(self, row: int, tick: Tick, boxes: Boxes, score: NDArray[np.float64]) -> Any:
+    def _judged(self, row: int, tick: Tick, boxes: Boxes, score: NDArray[np.float64]) -> DetectionTable:
         """Table of a step: boxes and road users around the ego, in the frame of its LiDAR."""
         body_from_world, lidar_from_world = invert(_body(tick.ego)), invert(self._lidars[row])
         found, truth = (every.transform(body_from_world).center[:, :2] for every in (boxes, tick.actors.boxes))

@@ -49,7 +49,7 @@ class DriveHistory:
 
     def lacking(self) -> list[int]:
         """Rows of the frames that are still to be read."""
-        first, count = getattr(self._source, "first", 0), len(self._source)
+        first, count = self._source.first, len(self._source)
         with self._lock:
             for row in [row for row in self._facts if row < first]:
                 del self._facts[row]
@@ -60,7 +60,7 @@ class DriveHistory:
         facts = None
         try:
             # The sweeps of an episode are cast anew: only for frames that are looked at.
-            frame = getattr(self._source, "outline", self._source.read)(row)
+            frame = self._source.outline(row)
             truth, agents = frame.truth, frame.agents
             places = np.array([agent.world_from_body[:2, 3] for agent in agents])
             lidars = np.array([agent.sweep.world_from_lidar for agent in agents])
@@ -76,7 +76,7 @@ class DriveHistory:
 
     def lacks(self, object_id: int) -> bool:
         """Whether every frame is read, and none has an object."""
-        rows = range(getattr(self._source, "first", 0), len(self._source))
+        rows = range(self._source.first, len(self._source))
         with self._lock:
             read = [facts for row in rows if (facts := self._facts.get(row)) is not None]
         return len(read) == len(rows) and not any(object_id in facts.object_id for facts in read)

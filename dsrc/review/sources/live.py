@@ -3,10 +3,9 @@
 import threading
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
 
 from dsrc.evaluation.detection_table import DetectionTable
-from dsrc.review.sources.base import SEED, DetectionSet, Kind, MemorySet
+from dsrc.review.sources.base import SEED, Kind, MemorySet, Source
 from sensors.frame import Frame
 from sim.errors import DataError, complaint
 
@@ -14,11 +13,8 @@ KEPT = 300
 """Frames that are kept: half a minute at 10 Hz; five agents of 60,000 points take 15 MB per frame at most."""
 
 
-class LiveSource:
+class LiveSource(Source):
     """Frames as they come; rows count from the first frame ever, and old ones are dropped.
-
-    Attributes: those of `Source`, and
-        ended: whether no more frames come.
 
     Args:
         kept: number of frames that are kept.
@@ -26,18 +22,17 @@ class LiveSource:
     """
 
     kind: Kind = "live"
+    labelled = False  # until a frame has an object
 
     def __init__(
         self, name: str, kept: int = KEPT, protocol: Mapping[str, object] | None = None, seed: int = SEED
     ) -> None:
         if kept < 1:
             raise ValueError(f"kept must be at least 1, got {kept}")
-        self.name, self.seed = name, seed
-        self.protocol: Mapping[str, Any] = protocol or {}
-        self.sets: dict[str, DetectionSet] = {}
+        super().__init__(name, protocol, seed)
         self._frames: deque[Frame] = deque(maxlen=kept)
         self._count = 0
-        self._labelled = self.ended = False
+        self.ended = False
         self._lock = threading.Lock()
 
     def put(self, frame: Frame, detections: Mapping[str, DetectionTable] | None = None) -> int:
@@ -52,15 +47,15 @@ class LiveSource:
             row = self._count
             for name, table in (detections or {}).items():
                 known = self.sets.setdefault(name, MemorySet(name))
-                if not (isinstance(known, MemorySet) and known.recorded):
+                if not known.recorded:
                     raise ValueError(f"{name} is computed, not recorded")
                 known.put(row, table)
             self._frames.append(frame)
             self._count += 1
-            self._labelled |= len(frame.truth) > 0
-            for each in self.sets.values():
-                if isinstance(each, MemorySet):
-                    each.forget(self.first)
+            self.first = self._count - len(self._frames)
+            self.labelled |= len(frame.truth) > 0
+            for each in self.sets.values() if self.first else ():
+                each.forget(self.first)
         return row
 
     def end(self) -> None:
@@ -70,11 +65,6 @@ class LiveSource:
 
     def __len__(self) -> int:
         return self._count
-
-    @property
-    def first(self) -> int:
-        """Row of the oldest frame that is kept."""
-        return self._count - len(self._frames)
 
     def read(self, row: int) -> Frame:
         """Return a frame.
@@ -87,8 +77,3 @@ class LiveSource:
                 expected = f"{self.first} to {self._count - 1}" if self._count else "a first frame to come"
                 raise DataError(complaint(self.name, "frame", expected, row))
             return self._frames[row - self.first]
-
-    @property
-    def labelled(self) -> bool:
-        """Whether any frame so far had an object."""
-        return self._labelled

@@ -1,18 +1,16 @@
 """Drives with what `dsrc evaluate`, `dsrc benchmark` or `dsrc shares` left in a folder: detections, and who helped."""
 
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, list_drives, open_drive
-from dsrc.evaluation.detection_table import DetectionTable, join_tables
+from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.evaluation.sharing.stored import FILE as SHARES
 from dsrc.evaluation.sharing.stored import SharedFrame, StoredShares, read_shares
 from dsrc.evaluation.stored import FILE, StoredDrive, StoredRun, read_index, read_run, run_names
-from dsrc.review.sources.base import DriveSource, Setup
+from dsrc.review.sources.base import DriveSource, MemorySet, Setup
 from sensors.corruptions import Condition
 from sim.errors import DataError, complaint
 
@@ -21,55 +19,32 @@ class MissingDriveError(DataError):
     """A drive of results is no longer where it was."""
 
 
-class StoredSet:
-    """Stored detections of one method in a drive; see `DetectionSet`.
+class StoredSet(MemorySet):
+    """Stored detections of one method in a drive, read when a condition is first asked for.
 
-    Attributes: those of `DetectionSet`, and
+    Attributes: those of `MemorySet`, and
         runs: by condition.
 
     Args:
         number: row of the drive in the index.
     """
 
-    recorded = True
-
     def __init__(self, name: str, folder: Path, drive: Drive, number: int, runs: Mapping[Condition, StoredRun]) -> None:
-        self.name, self.runs = name, dict(runs)
-        self._folder, self._drive, self._number = folder, drive, number
-        self._tables: dict[Condition, tuple[DetectionTable, list[DetectionTable]]] = {}
-        self._lock = threading.Lock()
+        super().__init__(name)
+        self.runs, self._folder, self._drive, self._number = dict(runs), folder, drive, number
 
     def conditions(self) -> tuple[Condition, ...]:
         """Conditions with detections."""
         return tuple(self.runs)
 
-    def get(self, row: int, setup: Setup) -> DetectionTable | None:
-        """Detections in one frame; None where none are stored, or those of another ego."""
-        table, frames = self._load(setup.condition)
-        at = int(np.searchsorted(table.position, row))
-        if at == len(table) or table.position[at] != row or setup.ego_id not in (None, int(table.ego_id[at])):
-            return None
-        return frames[at]
-
-    def rows(self, setup: Setup) -> NDArray[np.int64]:
-        """(K,) rows of the frames with detections, ascending."""
-        return self.run(setup).position
-
-    def run(self, setup: Setup) -> DetectionTable:
-        """All detections of a condition; those of one ego where the setup names it."""
-        table, frames = self._load(setup.condition)
-        if setup.ego_id is None or (table.ego_id == setup.ego_id).all():
-            return table
-        return join_tables([frame for frame in frames if frame.ego_id[0] == setup.ego_id])
-
-    def _load(self, condition: Condition) -> tuple[DetectionTable, list[DetectionTable]]:
-        with self._lock:
-            if condition not in self._tables:
-                run = self.runs.get(condition)
-                table = read_run(self._folder, () if run is None else run.cells[self._number])
-                _check_frames(self._folder, table, self._drive)
-                self._tables[condition] = table, table.frames()
-            return self._tables[condition]
+    def _known(self, setup: Setup) -> dict[int, DetectionTable]:
+        own = self._own(setup)
+        if own.condition in self.runs and own not in self._tables:
+            table = read_run(self._folder, self.runs[own.condition].cells[self._number])
+            _check_frames(self._folder, table, self._drive)
+            rows = table.position.tolist()
+            self._tables[own] = dict(zip(rows, table.frames(), strict=True))
+        return super()._known(setup)
 
 
 def _check_frames(folder: Path, table: DetectionTable, drive: Drive) -> None:

@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 
-from dsrc.ops.detections import Detections
-from dsrc.review.matching import Counts, ranked_matches
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import birds_eye, chase, overview, scene_from_review
 from dsrc.review.shapes import CUBE_FACES, CUBE_VERTICES, crossed, dashed, edges, quaternions
@@ -43,30 +41,6 @@ def test_the_unit_cube_faces_outwards() -> None:
 
 def test_a_quaternion_turns_about_z() -> None:
     np.testing.assert_allclose(quaternions(np.array([0.0, np.pi / 2])), [[1, 0, 0, 0], [2**-0.5, 0, 0, 2**-0.5]], 1e-6)
-
-
-def test_two_detections_of_one_object_are_one_tp_and_one_fp() -> None:
-    truth = Boxes.from_array([[0.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0], [20.0, 0.0, 0.0, 4.0, 2.0, 1.5, 0.0]])
-    twice = Detections(truth[np.array([0, 0])], np.array([0.8, 0.6], np.float32))
-    matches = ranked_matches(twice, truth, 0.5)
-    assert matches.tp.tolist() == [True, False]
-    assert matches.counts(0.0) == Counts(1, 1, 1)
-    assert matches.counts(0.7) == Counts(1, 0, 1)
-    assert matches.found(0.0).tolist() == [True, False]
-    assert matches.counts(0.9) == Counts(0, 0, 2)
-
-
-@pytest.mark.parametrize("detections", [0, 2])
-@pytest.mark.parametrize("objects", [0, 2])
-def test_matching_takes_empty_sides(detections: int, objects: int) -> None:
-    matches = ranked_matches(Detections(TURNED[:detections], np.ones(detections, np.float32)), TURNED[:objects], 0.5)
-    found = min(detections, objects)
-    assert matches.counts(0.0) == Counts(found, detections - found, objects - found)
-
-
-def test_precision_of_nothing_is_unknown() -> None:
-    assert Counts().precision is None and Counts().recall is None
-    assert Counts(0, 1, 1).precision == 0.0
 
 
 def test_cameras_look_at_the_ego(truth_model: ReviewModel) -> None:

@@ -131,7 +131,7 @@ def overlay(texts: list[dict[str, str]], views: list[FrameView], cameras: list[C
              own(f"points-{agent.agent_id}", "small"))
         for agent in rows.values()
     )  # fmt: skip
-    if bar := scale_bar(first.color_by):
+    if bar := scale_bar(first.state.color_by):
         agents += f'<li style="display:block;margin-top:6px">{bar}</li>'
     if fates := fate_legend(first):
         agents += "</ul><ul>" + "".join(_row(rgb, "", text, "") for rgb, text in fates)

@@ -9,22 +9,14 @@ from dataclasses import replace
 from html import escape
 
 import numpy as np
-import viser
 from numpy.typing import NDArray
 
 from dsrc.review.errors.gallery import Gallery, Picture, gallery_html
 from dsrc.review.errors.report import run_report
 from dsrc.review.model import ReviewModel
 from dsrc.review.over_time.strips import over_time
-from dsrc.review.page.cameras import (
-    PRESETS,
-    CameraPose,
-    birds_eye,
-    chase,
-    close_to,
-    overview,
-    scene_from_review,
-)
+from dsrc.review.page import cameras
+from dsrc.review.page.cameras import CameraPose, overview
 from dsrc.review.page.cells import links_of
 from dsrc.review.page.link import read_link, unknown_names
 from dsrc.review.page.offline.overlay import (
@@ -155,7 +147,7 @@ def png_of(image: NDArray[np.uint8]) -> bytes:
 
 
 def _rows(model: ReviewModel, state: ReviewState, frames: slice | int) -> list[int]:
-    count = model.frame_count(state.drive)
+    count = len(model.sources[state.drive])
     if isinstance(frames, int) and frames < 1:
         raise SettingsError(complaint("view", "frames", "at least 1", frames))
     rows = list(range(count))[frames if isinstance(frames, slice) else slice(state.frame, state.frame + frames)]
@@ -167,73 +159,62 @@ def _rows(model: ReviewModel, state: ReviewState, frames: slice | int) -> list[i
 def record(
     model: ReviewModel,
     states: Sequence[ReviewState],
-    pose: CameraPose | None,
-    shared: bool,
-    using_model: AbstractContextManager[object],
+    pose: CameraPose | None = None,
+    shared: bool = False,
+    using_model: AbstractContextManager[object] = UNSHARED,
 ) -> tuple[str, str]:
-    """Page of a player and its overlay."""
+    """Page of a player and its overlay; arguments as of `views_html`."""
     server = start_server()
     try:
-        return _recorded(server, model, states, pose, shared, using_model)
+        drive, interval_s, theme = states[0].drive, model.interval_s(states[0].drive), states[0].theme
+        set_light(server.scene)
+        set_sky(server.scene, theme)
+        writer = SceneWriter(server.scene, ROOT, POINT_STEP_M)
+        root = server.scene.add_frame(ROOT, show_axes=False, position=_NEARLY[:3, 3])
+        views, texts = [], []
+        with using_model:
+            _explain(model, drive)
+        for state in states:
+            with using_model:
+                views.append(model.view(state))
+                texts.append(_texts(model, state, views[-1], shared))
+        first = views[0]
+        # The camera of the page is fixed: the world moves instead.
+        follows = states[0].camera if shared else "bev"
+        scene = [cameras.scene_from_review(follows, view, states[0].follow) for view in views]
+        if pose is None:
+            pose = cameras.PRESETS.get(follows, overview)(first, states[0].follow) if shared else overview(first)
+            if shared and first.selected is not None and first.moment is None:
+                pose = cameras.close_to(first.selected, pose)
+            pose = pose.moved(scene[0])
+        set_start_camera(server, pose)
+        shown = server.scene.add_frame(SHOWN, show_axes=False, position=(1.0, 0.0, 0.0))
+        # Every node of any frame is there from the start: what only a later frame brings would stay when one goes back.
+        for view in (*views, first):
+            writer.write(view)
+        place_frame(root, scene[0] @ _NEARLY)
+        with using_model:
+            world = _world(model, drive)
+        writer.place_world(world, theme, states[0].cut)
+        serializer = server.get_scene_serializer()
+        # The player's end is its beginning: it goes from there to the first time without drawing the first frame.
+        for number in [*range(1, len(views)), 0]:
+            serializer.insert_sleep(interval_s)
+            shown.position = (float(number + 1), 0.0, 0.0)
+            place_frame(root, scene[number] @ _NEARLY)
+            writer.write(views[number])
+        html = serializer.as_html(dark_mode=theme == "dark")
+        poses = [("overview", "1", overview), ("chase", "2", cameras.chase), ("bird's eye", "3", cameras.birds_eye)]
+        buttons = [CameraButton(name, key, make(first).moved(scene[0])) for name, key, make in poses]
+        pictures = _gallery(model, states[0], using_model) if shared else ""
+        return html, overlay(texts, views, buttons, pictures) + overlay_script(texts, buttons, stop=shared)
     finally:
         stop_server(server)
 
 
-def _recorded(
-    server: viser.ViserServer,
-    model: ReviewModel,
-    states: Sequence[ReviewState],
-    pose: CameraPose | None,
-    shared: bool,
-    using_model: AbstractContextManager[object],
-) -> tuple[str, str]:
-    drive, interval_s, theme = states[0].drive, model.interval_s(states[0].drive), states[0].theme
-    set_light(server.scene)
-    set_sky(server.scene, theme)
-    writer = SceneWriter(server.scene, ROOT, POINT_STEP_M)
-    root = server.scene.add_frame(ROOT, show_axes=False, position=_NEARLY[:3, 3])
-    views, texts = [], []
-    with using_model:
-        _explain(model, drive)
-    for state in states:
-        with using_model:
-            views.append(model.view(state))
-            texts.append(_texts(model, state, views[-1], shared))
-    first = views[0]
-    # The camera of the page is fixed: the world moves instead.
-    follows = states[0].camera if shared else "bev"
-    scene = [scene_from_review(follows, view, states[0].follow) for view in views]
-    if pose is None:
-        pose = PRESETS.get(follows, overview)(first, states[0].follow) if shared else overview(first)
-        if shared and first.selected is not None and first.moment is None:
-            pose = close_to(first.selected, pose)
-        pose = pose.moved(scene[0])
-    set_start_camera(server, pose)
-    shown = server.scene.add_frame(SHOWN, show_axes=False, position=(1.0, 0.0, 0.0))
-    # Every node of any frame is there from the start: what only a later frame brings would stay when one goes back.
-    for view in (*views, first):
-        writer.write(view)
-    place_frame(root, scene[0] @ _NEARLY)
-    with using_model:
-        world = _world(model, drive)
-    writer.place_world(world, theme, states[0].cut)
-    serializer = server.get_scene_serializer()
-    # The player's end is its beginning: it goes from there to the first time without drawing the first frame.
-    for number in [*range(1, len(views)), 0]:
-        serializer.insert_sleep(interval_s)
-        shown.position = (float(number + 1), 0.0, 0.0)
-        place_frame(root, scene[number] @ _NEARLY)
-        writer.write(views[number])
-    html = serializer.as_html(dark_mode=theme == "dark")
-    poses = [("overview", "1", overview), ("chase", "2", chase), ("bird's eye", "3", birds_eye)]
-    cameras = [CameraButton(name, key, make(first).moved(scene[0])) for name, key, make in poses]
-    pictures = _gallery(model, states[0], using_model) if shared else ""
-    return html, overlay(texts, views, cameras, pictures) + overlay_script(texts, cameras, stop=shared)
-
-
 def _gallery(model: ReviewModel, state: ReviewState, using_model: AbstractContextManager[object]) -> str:
     """Pictures of the worst errors that the page lists, by cause; "" where nothing is judged."""
-    if not model.method(state) or not model.labelled(state.drive):
+    if not model.method(state) or not model.sources[state.drive].labelled:
         return ""
     with using_model:
         report, gallery = run_report(model, state), Gallery(model)
@@ -246,9 +227,9 @@ def _gallery(model: ReviewModel, state: ReviewState, using_model: AbstractContex
 
 def _explain(model: ReviewModel, drive: int) -> None:
     """Let a log of an episode find its cause and cast its sweeps, which the page does behind its first picture."""
-    explain, met = getattr(model.sources[drive], "explain", None), model.meeting(drive)
-    if met is not None and explain is not None and not met.explained:
-        explain()
+    met = model.sources[drive].meeting
+    if met is not None and not met.explained:
+        model.sources[drive].explain()
 
 
 def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool) -> dict[str, str]:
@@ -256,7 +237,8 @@ def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool
     texts = frame_texts(view, _subtitle(model, state))
     if not shared:
         return texts
-    words, line, met = [], model.timeline(state.drive), model.meeting(state.drive)
+    source = model.sources[state.drive]
+    words, line, met = [], source.timeline(), source.meeting
     if view.moment is not None and line is not None:
         words += [f"**{quoted(met.why)}**"] if met is not None and met.why else []
         words.append(moment_report(view.moment, line, view.index))
@@ -278,7 +260,7 @@ def _world(model: ReviewModel, drive: int) -> list[StaticPart]:
 
 def _subtitle(model: ReviewModel, state: ReviewState) -> str:
     weather = model.setup(state).condition.label
-    labelled = model.labelled(state.drive)
+    labelled = model.sources[state.drive].labelled
     if not model.has_detector:
         return f"{weather} · ground truth" if labelled else weather
     method = f" · {escape(model.method(state))}" if len(model.methods(state.drive)) > 1 else ""

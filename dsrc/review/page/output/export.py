@@ -19,7 +19,7 @@ from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp, first_state
 from dsrc.review.page.cells import CELL, links_of
 from dsrc.review.page.offline.overlay import page_html
-from dsrc.review.page.offline.pages import UNSHARED, linked_views, over_sky, picture_parts, png_of, record, views_html
+from dsrc.review.page.offline.pages import linked_views, over_sky, picture_parts, png_of, record, views_html
 from dsrc.review.page.output.screenshot import PATIENCE_S, BrowserPage, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.state import ReviewState
@@ -177,6 +177,6 @@ def write_animation(images: Iterable[NDArray[np.uint8]], out: Path, interval_s: 
 
 def export_states(model: ReviewModel, states: list[ReviewState], out: Path) -> Path:
     """Write a page that plays a sequence of states of one drive."""
-    page, body = record(model, states, None, False, UNSHARED)
+    page, body = record(model, states)
     write_file(out, page_html(page, body, model.names[states[0].drive]))
     return out

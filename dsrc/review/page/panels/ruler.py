@@ -4,22 +4,24 @@ from typing import Any
 
 import numpy as np
 
-from dsrc.review.page.panels.widgets import set_fields
-from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.page.controls import Control
+from dsrc.review.page.panels.panel import Panel, set_fields
+from dsrc.review.page.protocol import Shown
 from dsrc.review.texts import ruler_report
 from sim.geometry import invert, transform_points
 
 
-class RulerPanel:
+class RulerPanel(Panel):
     """Folder with a button that starts and removes the ruler, and what it measures."""
 
-    def __init__(self, page: Page) -> None:
-        """Build it without a ruler."""
-        self._page = page
+    title = "Ruler"
+    table = (Control("ruler", None, link="ruler"),)
+
+    def build(self) -> None:
+        """Add button and text, without a ruler."""
         self.measuring = False
-        with page.gui.add_folder("Ruler", expand_by_default=False):
-            self.button = page.gui.add_button("Measure")
-            self.text = page.gui.add_markdown("")
+        self.button = self._page.gui.add_button("Measure")
+        self.text = self._page.gui.add_markdown("")
         self.button.on_click(lambda _: self._end() if self.measuring else self._start())
 
     def show(self, shown: Shown) -> None:
@@ -33,17 +35,14 @@ class RulerPanel:
         self.measuring = True
         self._page.update(ruler=())
         self._page.scene.on_click()(self._take)
-        self._show()
+        self.show(self._page.shown)
 
     def _end(self) -> None:
         self.measuring = False
         self._page.scene.remove_click_callback()
         if len(self._page.state.ruler) < 4:
             self._page.update(ruler=())
-        self._show()
-
-    def _show(self) -> None:
-        self.show(Shown(self._page.model, self._page.state, self._page.view))
+        self.show(self._page.shown)
 
     def _take(self, event: Any) -> None:
         """Take the place of the ground at the ego's height that is clicked."""

@@ -6,10 +6,8 @@ from html import escape
 from typing import Any
 
 from dsrc.review.page.browser import COPY_KEY, PICTURE_KEY
-from dsrc.review.page.link import write_link
-from dsrc.review.page.offline.pages import over_sky, picture_parts, views_html
-from dsrc.review.page.panels.widgets import set_fields
-from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.page.panels.panel import Panel, set_fields
+from dsrc.review.page.protocol import Shown
 from sim.errors import DataError, UserError
 
 log = logging.getLogger(__name__)
@@ -18,19 +16,20 @@ PATIENCE_S = 60.0
 """Longest time for which a browser draws a picture, s."""
 
 
-class SharePanel:
-    """Folder with three buttons, and one of saved views in it."""
+class SharePanel(Panel):
+    """Open folder with three buttons, and one of saved views in it."""
 
-    def __init__(self, page: Page) -> None:
-        """Build it."""
-        self._page = page
+    title, opened = "Share", True
+
+    def build(self) -> None:
+        """Add buttons and the folder of saved views."""
+        gui = self._page.gui
         shares = {"Page": self._save_page, "Picture": self._save_picture, "Link": self._copy_link}
-        with page.gui.add_folder("Share"):
-            self.buttons = page.gui.add_button_group("View as", tuple(shares))
-            with page.gui.add_folder("Saved views", expand_by_default=False, visible=page.notes is not None):
-                self.list = page.gui.add_html("")
-                self.name: Any = page.gui.add_text("Name", "")
-                self.save = page.gui.add_button_group("View", ("Save", "Remove"))
+        self.buttons = gui.add_button_group("View as", tuple(shares))
+        with gui.add_folder("Saved views", expand_by_default=False, visible=self._page.notes is not None):
+            self.list = gui.add_html("")
+            self.name: Any = gui.add_text("Name", "")
+            self.save = gui.add_button_group("View", ("Save", "Remove"))
         self.buttons.on_click(lambda event: self._share(shares[event.target.value]))
         self.save.on_click(lambda event: self._keep(event.target.value == "Save"))
 
@@ -56,6 +55,9 @@ class SharePanel:
         return f"{self._page.model.names[state.drive]}_{state.frame}.{kind}".replace("/", "_")
 
     def _save_page(self) -> None:
+        # Here, for a page that reads links knows all panels.
+        from dsrc.review.page.offline.pages import views_html
+
         page = self._page
         page.tell("Writing the page \u2026")
         html = views_html(page.model, page.views(), using_model=page.using_model)
@@ -63,6 +65,8 @@ class SharePanel:
         page.download(self._name("html"), html)
 
     def _save_picture(self) -> None:
+        from dsrc.review.page.offline.pages import over_sky, picture_parts
+
         page, camera = self._page, self._page.client.camera
         state, view = page.state, page.view
         if view is None:
@@ -83,9 +87,8 @@ class SharePanel:
         if page.notes is None or not name:
             page.tell("A saved view needs a name." if page.notes is not None else "")
             return
-        link = write_link(page.model, page.state, page.camera.pose) if save else ""
         try:
-            page.notes.put_view(name, link)
+            page.notes.put_view(name, page.link(page.state, page.camera.pose) if save else "")
         except (DataError, OSError) as error:
             page.tell(f"The view is not saved: {error}")
-        self.show(Shown(page.model, page.state, page.view))
+        self.show(page.shown)

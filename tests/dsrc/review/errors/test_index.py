@@ -1,6 +1,7 @@
 """The index of errors against plain loops, the laws of its filters, and the average precision of `dsrc evaluate`."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import fields, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from shapely.geometry import Polygon
 from dsrc.evaluation.detection_table import join_tables
 from dsrc.evaluation.metrics.ap import evaluate
 from dsrc.review.errors.filters import FN, FP, KINDS, POOR, ErrorFilter, Span
-from dsrc.review.errors.index import ErrorIndex, ErrorTable, next_error, worst_frames
+from dsrc.review.errors.index import POOR_IOU, ErrorIndex, ErrorTable, changes, next_error, worst_frames
 from dsrc.review.errors.judged import JudgedRun
 from dsrc.review.sources.base import Setup
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
@@ -75,8 +76,8 @@ def listed(errors: ErrorTable) -> set[tuple]:
 @pytest.mark.parametrize(("threshold", "iou"), [(0.0, 0.5), (0.3, 0.5), (0.55, 0.3), (0.8, 0.7), (1.01, 0.5)])
 def test_errors_are_those_of_plain_loops(seed: int, threshold: float, iou: float) -> None:
     run = draw_run(seed)
-    errors = ErrorIndex([run]).errors(threshold, iou, poor_iou=0.8)
-    expected = oracle(run, threshold, iou, 0.8)
+    errors = ErrorIndex([run]).errors(threshold, iou)
+    expected = oracle(run, threshold, iou, POOR_IOU)
     assert len(errors) == len(expected)
     # IoU of shapely and of powerboxes differ in the last of four digits at most.
     for mine, theirs in zip(sorted(listed(errors), key=repr), sorted(expected, key=repr), strict=True):
@@ -211,19 +212,19 @@ def test_frames_are_ranked_by_the_sum_of_their_losses() -> None:
 
 
 def test_the_next_error_of_a_kind_is_found_in_both_directions_and_none_is_said() -> None:
-    errors = ErrorIndex([draw_run(0)]).errors(0.3, 0.5).in_order()
-    visited, at = [], next_error(errors, row=0, kinds=(FN,))
+    errors = ErrorIndex([draw_run(0)]).errors(0.3, 0.5, ErrorFilter(kinds=("missed",))).in_order()
+    visited, at = [], next_error(errors, row=0)
     while at is not None:
         visited.append(at)
-        at = next_error(errors, int(errors.row[at]), after=at, kinds=(FN,))
-    assert visited == np.flatnonzero(errors.kind == FN).tolist()
-    assert next_error(errors, int(errors.row[visited[-1]]), after=visited[-1], step=-1, kinds=(FN,)) == visited[-2]
+        at = next_error(errors, int(errors.row[at]), after=at)
+    assert visited == list(range(len(errors))) and len(visited) > 2
+    assert next_error(errors, int(errors.row[visited[-1]]), after=visited[-1], step=-1) == visited[-2]
     middle = int(errors.row[len(errors) // 2])
     assert (
         errors.row[next_error(errors, middle)] >= middle and errors.row[next_error(errors, middle, step=-1)] <= middle
     )
     assert next_error(errors, row=10_000) is None and next_error(errors[:0], row=0) is None
-    assert next_error(errors, 0, after=visited[0], step=-1, kinds=(FN,)) is None
+    assert next_error(errors, 0, after=visited[0], step=-1) is None
 
 
 def test_an_empty_run_has_no_errors_and_no_average_precision() -> None:
@@ -245,3 +246,30 @@ def test_a_wrong_filter_is_one_line() -> None:
     with pytest.raises(SettingsError, match="filter: distance_m: expected a range from low to high"):
         ErrorFilter(distance_m=Span(9, 1))
     assert ErrorFilter().kinds == KINDS
+
+
+def objects_of(run: JudgedRun) -> Iterator[tuple[int, int]]:
+    return zip(run.table.position[run.truth_frame_of].tolist(), run.table.object_id.tolist(), strict=True)
+
+
+def found_objects(run: JudgedRun, threshold: float, iou: float) -> set[tuple[int, int]]:
+    return {key for key, found in zip(objects_of(run), run.found(threshold, iou), strict=True) if found}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_changes_are_the_differences_of_the_found_objects(seed: int) -> None:
+    clean, fog = draw_run(seed, skill=0.9), draw_run(seed, kind="fog", skill=0.5)
+    broken, fixed = changes(clean, fog, 0.3, 0.5)
+    before, after = found_objects(clean, 0.3, 0.5), found_objects(fog, 0.3, 0.5)
+    assert (broken, fixed) == (before - after, after - before)
+    assert changes(fog, clean, 0.3, 0.5) == (fixed, broken)
+
+
+def test_a_filter_chooses_the_objects_that_change() -> None:
+    clean, fog = draw_run(1, skill=0.9), draw_run(1, kind="fog", skill=0.3)
+    near = changes(clean, fog, 0.3, 0.5, ErrorFilter(distance_m=Span(0, 30)))
+    everything = changes(clean, fog, 0.3, 0.5)
+    boxes = {key: m for key, m in zip(objects_of(fog), fog.truth_distance_m.tolist(), strict=True)}
+    for some, every in zip(near, everything, strict=True):
+        assert some == {key for key in every if boxes[key] <= 30}
+    assert 0 < len(near[0]) < len(everything[0]) and changes(clean, clean, 0.3, 0.5) == (set(), set())

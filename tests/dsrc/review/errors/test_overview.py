@@ -1,7 +1,6 @@
 """Overview of a run: what was lost, sorted, and links to the worst of each cell."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.review.errors.overview import Overview, Overviews
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.link import read_link, write_link
-from dsrc.review.sources.base import DriveSource, MemorySet, Setup
+from dsrc.review.sources.base import DriveSource, MemorySet, Setup, Source
 from dsrc.review.sources.moment import EpisodeTimeline
 from dsrc.review.state import ReviewState
 from sensors.corruptions import Condition
@@ -144,15 +143,23 @@ def test_a_damaged_cell_is_one_line_and_the_others_are_shown(monkeypatch: pytest
 
 
 def test_a_campaign_is_shown_as_outcomes_by_fault() -> None:
-    class Driven(SimpleNamespace):
+    class Driven(Source):
+        kind, labelled = "episode", True
+
+        def __init__(self, name: str, fault: str, line: EpisodeTimeline) -> None:
+            super().__init__(name)
+            self.fault, self.line = fault, line
+
         def __len__(self) -> int:
             return 3
+
+        def timeline(self) -> EpisodeTimeline:
+            return self.line
 
     def episode(name: str, fault: str, outcome: str, contact: int | None, speed: float, brake: float) -> Driven:
         wanted = np.array([0.0, -brake, 0.0])
         line = EpisodeTimeline(np.arange(3.0), np.zeros(3), wanted, wanted, contact, outcome, "", speed)
-        shared = {"kind": "episode", "labelled": True, "sets": {}, "protocol": {}, "seed": 0}
-        return Driven(name=name, fault=fault, timeline=lambda: line, **shared)
+        return Driven(name, fault, line)
 
     episodes = [
         episode("a", "clean", "arrived", None, 9.0, 2.0),
@@ -161,7 +168,7 @@ def test_a_campaign_is_shown_as_outcomes_by_fault() -> None:
         episode("d", "fog 4", "arrived", None, 9.0, 3.0),
         episode("e", "clean", "arrived", None, 9.0, 6.0),
     ]
-    model = ReviewModel(episodes)  # type: ignore[arg-type]
+    model = ReviewModel(episodes)
     found = overview(model)
     assert found.head == ("", "crashed", "arrived")
     assert [[cell.text for cell in row] for row in found.rows] == [["fog 4", "2", "1"], ["clean", "0", "2"]]

@@ -41,7 +41,7 @@ STATE = ReviewState(threshold=0.3)
 
 def test_a_report_holds_every_error_of_every_frame(filled: ReviewModel) -> None:
     report = run.run_report(filled, STATE)
-    views = [filled.view(replace(STATE, frame=row)) for row in range(filled.frame_count(0))]
+    views = [filled.view(replace(STATE, frame=row)) for row in range(len(filled.sources[0]))]
     counts = report.counts["detector"]
     assert (counts.tp, counts.fp, counts.fn) == tuple(
         sum(getattr(v.counts, k) for v in views) for k in ("tp", "fp", "fn")

@@ -11,7 +11,7 @@ from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page
-from dsrc.review.page.panels.sensor_lab import SensorLabPanel
+from dsrc.review.page.panels.labs.sensor import SensorLabPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from tests.dsrc.review.labs.drive import small_drive

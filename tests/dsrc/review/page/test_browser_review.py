@@ -11,7 +11,7 @@ import pytest
 
 from dsrc.review.errors.report import shown_error
 from dsrc.review.model import ReviewModel
-from dsrc.review.page.app import ReviewApp, live_page
+from dsrc.review.page.app import LivePage, ReviewApp
 from dsrc.review.page.cells import compare_address
 from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
@@ -122,7 +122,7 @@ def test_a_link_to_what_is_gone_is_told_in_a_line_and_the_nearest_is_shown(
 
 
 def test_a_page_of_a_running_simulation_grows() -> None:
-    with live_page(LiveSource("street")) as live, open_page(f"{live.url}/?fixedDpr=1", SIZE) as page:
+    with LivePage(LiveSource("street")) as live, open_page(f"{live.url}/?fixedDpr=1", SIZE) as page:
         (session,) = live.app.wait_session(1, PATIENCE_S)
         page.wait_for("document.body.innerText.includes('first frame to come')", PATIENCE_S)
         for index in range(4):

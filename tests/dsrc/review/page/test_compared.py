@@ -6,9 +6,9 @@ import pytest
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.commands import lay_over
-from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
-from dsrc.review.page.panels.drawn import LegendPanel
-from dsrc.review.page.panels.errors import ErrorsPanel
+from dsrc.review.page.panels.labs.corruption import CorruptionLabPanel
+from dsrc.review.page.panels.legend import LegendPanel
+from dsrc.review.page.panels.run.errors import ErrorsPanel
 from dsrc.review.page.session import Session
 from dsrc.review.sources.detected import ComputedSet
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive

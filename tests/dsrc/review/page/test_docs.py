@@ -3,8 +3,8 @@
 import re
 
 from dsrc.review.page.commands import keys_table
-from dsrc.review.page.controls import CONTROLS
 from dsrc.review.page.link import VIEW
+from dsrc.review.page.panels import CONTROLS
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "review.md").read_text(encoding="utf-8")

@@ -6,8 +6,8 @@ import pytest
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS
-from dsrc.review.page.panels.drawn import LegendPanel
 from dsrc.review.page.panels.episode import EpisodePanel
+from dsrc.review.page.panels.legend import LegendPanel
 from dsrc.review.page.panels.over_time import OverTimePanel
 from dsrc.review.page.session import Session
 from dsrc.review.sources.episodes import episode_source
@@ -108,7 +108,7 @@ def test_the_course_is_plotted_from_the_first_second_to_the_last(session: Sessio
 
 def test_an_episode_opens_before_its_contact_and_a_key_goes_there(session: Session) -> None:
     run = {command.label: command.run for command in COMMANDS}
-    met = session.model.meeting(0)
+    met = session.model.sources[0].meeting
     assert met is not None
     session.update(frame=0)
     run["Episode: contact"](session)

@@ -17,9 +17,9 @@ from dsrc.review.errors.score_plots import histogram_svg, hits_of
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS, go_to_error
-from dsrc.review.page.panels.drawn import LegendPanel
-from dsrc.review.page.panels.errors import ErrorsPanel
-from dsrc.review.page.panels.notes import NotesPanel
+from dsrc.review.page.panels.legend import LegendPanel
+from dsrc.review.page.panels.run.errors import ErrorsPanel
+from dsrc.review.page.panels.run.notes import NotesPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from dsrc.review.palette import css, method_color
@@ -328,7 +328,7 @@ def test_in_the_light_theme_nothing_in_the_list_is_dark_and_no_curve_white(sessi
     for theme in ("light", "dark", "light"):
         session.update(theme=theme)
         session.wait_drawn()
-        wait_for(lambda theme=theme: errors._theme == theme)
+        wait_for(lambda theme=theme: (min(errors.rows[1].color or (0,)) > 200) == (theme == "light"))
     other = [row.color for row in errors.rows if row.visible and row.color != (56, 150, 255)]
     assert other and min(map(min, other)) > 200
     assert f'stroke="{css(method_color(0))}"' in errors.plots.content

@@ -17,9 +17,9 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import toggle_corruption
 from dsrc.review.page.link import read_link, write_link
-from dsrc.review.page.panels.corruption_lab import CorruptionLabPanel
-from dsrc.review.page.panels.drawn import LegendPanel
-from dsrc.review.page.panels.sensor_lab import SensorLabPanel
+from dsrc.review.page.panels.labs.corruption import CorruptionLabPanel
+from dsrc.review.page.panels.labs.sensor import SensorLabPanel
+from dsrc.review.page.panels.legend import LegendPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from dsrc.review.state import ReviewState

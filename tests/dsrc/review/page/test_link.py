@@ -9,8 +9,8 @@ import pytest
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cameras import UP, CameraPose
-from dsrc.review.page.controls import CONTROLS
 from dsrc.review.page.link import read_link, write_link
+from dsrc.review.page.panels import CONTROLS
 from dsrc.review.page.session import Session
 from dsrc.review.sources.base import MemorySet
 from dsrc.review.state import ReviewState

@@ -9,7 +9,7 @@ import pytest
 from dsrc.cli.drive import Drive
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.truth import TruthPerception
-from dsrc.review.page.app import LivePage, live_page
+from dsrc.review.page.app import LivePage
 from dsrc.review.page.commands import COMMANDS
 from dsrc.review.page.panels.episode import EpisodePanel
 from dsrc.review.sources.episodes import EpisodeSource
@@ -24,7 +24,7 @@ from tests.dsrc.review.page.test_session import handle, wait_for
 
 @pytest.fixture
 def page() -> Iterator[LivePage]:
-    with live_page(LiveSource("street")) as page:
+    with LivePage(LiveSource("street")) as page:
         yield page
 
 
@@ -50,7 +50,7 @@ def test_play_before_the_first_frame_waits_for_it(page: LivePage, connect_browse
 
 def test_first_and_last_are_the_ends_of_what_is_kept(connect_browser: type[SocketBrowser]) -> None:
     run = {command.label: command.run for command in COMMANDS}
-    with live_page(LiveSource("street", kept=3)) as page:
+    with LivePage(LiveSource("street", kept=3)) as page:
         for index in range(6):
             page.source.put(street_frame(index))
         page.source.end()
@@ -99,7 +99,7 @@ def test_a_browser_that_comes_later_follows_the_newest_frame_unless_its_link_nam
 
 @pytest.mark.parametrize("link", ["", "frame=0"])
 def test_a_browser_starts_at_no_frame_that_is_no_longer_kept(connect_browser: type[SocketBrowser], link: str) -> None:
-    with live_page(LiveSource("street", kept=2)) as page:
+    with LivePage(LiveSource("street", kept=2)) as page:
         for index in range(6):
             page.source.put(street_frame(index))
         page.source.end()
@@ -146,7 +146,7 @@ def test_generate_hands_every_frame_to_who_watches(tmp_path: Path) -> None:
 def test_an_episode_that_is_driven_is_followed_with_its_plan(connect_browser: type[SocketBrowser]) -> None:
     log = full_log()
     source = EpisodeSource("episode")
-    with live_page(source) as page:
+    with LivePage(source) as page:
         session = connect_browser(page.app).session
         for row, tick in enumerate(log.ticks):
             source.put(tick, EGO_ID)

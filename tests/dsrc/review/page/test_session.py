@@ -12,8 +12,11 @@ import dsrc.review.page.session as session_module
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.commands import COMMANDS
-from dsrc.review.page.controls import CONTROLS
-from dsrc.review.page.panels.drawn import AgentsPanel, LegendPanel, SelectionPanel, TimelinePanel
+from dsrc.review.page.panels import CONTROLS
+from dsrc.review.page.panels.agents import AgentsPanel
+from dsrc.review.page.panels.legend import LegendPanel
+from dsrc.review.page.panels.selection import SelectionPanel
+from dsrc.review.page.panels.timeline import TimelinePanel
 from dsrc.review.page.scene import Clicked
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session

@@ -29,10 +29,10 @@ def test_two_clicks_measure_distance_heading_and_time(session: Session, camera: 
     ruler = panel(session, RulerPanel)
     ruler._start()
     ruler._take(look_at(session, (2.0, 1.0)))
-    assert session.wait_drawn().ruler == (2.0, 1.0) and "second" in ruler.text.content
+    assert session.wait_drawn().state.ruler == (2.0, 1.0) and "second" in ruler.text.content
     ruler._take(look_at(session, (2.0, 31.0)))
     view = session.wait_drawn()
-    assert view.ruler == (2.0, 1.0, 2.0, 31.0) and not ruler.measuring
+    assert view.state.ruler == (2.0, 1.0, 2.0, 31.0) and not ruler.measuring
     # The ego drives east at 5 m/s.
     assert ruler_report(view) == "30.0 m, 90° left of the ego's heading, 6.0 s at 5.0 m/s"
     assert node(session, "/ruler/text").text == ruler_report(view)

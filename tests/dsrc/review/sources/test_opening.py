@@ -37,7 +37,7 @@ def test_boxes_alone_are_frames_without_points_and_say_so(tmp_path: Path) -> Non
     path = tmp_path / "mine.json"
     path.write_text(json.dumps({"frames": [boxes, {**boxes, "frame": 9}]}))
     model = ReviewModel(open_sources(path))
-    assert (model.names, model.methods(0), model.frame_count(0)) == (["mine"], ["mine"], 2)
+    assert (model.names, model.methods(0), len(model.sources[0])) == (["mine"], ["mine"], 2)
     view = model.view(ReviewState(frame=1))
     assert (view.index, view.detected, view.labelled, view.counts) == (9, 1, False, None)
     np.testing.assert_allclose(view.layers["detections/unjudged"].center[0], [10.0, 2.0, 0.9])

@@ -12,7 +12,7 @@ import pytest
 from dsrc.__main__ import main
 from dsrc.evaluation.sharing.stored import FILE, SharedBox, StoredShares, read_shares
 from dsrc.review.model import ReviewModel, open_model
-from dsrc.review.page.controls import CONTROLS
+from dsrc.review.page.panels import CONTROLS
 from dsrc.review.page.protocol import Shown
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.opening import open_sources
@@ -68,7 +68,7 @@ def test_the_card_has_the_shares_of_what_is_selected(model: ReviewModel) -> None
         assert "| all | 0.50 | |" in card
     assert model.view(ReviewState(object_id=1000)).details.shares == ()
     ghost = model.method(ReviewState())
-    rank = len(model._detections(ReviewState(), ghost).detections) - 1
+    rank = len(model._detections(ReviewState(), ghost).boxes) - 1
     found = model.view(ReviewState(detection=rank, boxes_by="verdict")).details
     assert found.verdict == "false positive" and [one.share for one in found.shares] == [0.1, 0.3]
     assert "who helped" not in selection_report(replace(found, shares=()))

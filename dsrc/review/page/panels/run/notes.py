@@ -5,28 +5,29 @@ from typing import Any
 
 from dsrc.review.errors.notes import Note, NoteChanged, error_key, former_key
 from dsrc.review.errors.report import shown_error
-from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.page.panels.panel import Panel, set_fields
+from dsrc.review.page.protocol import Shown
 from sim.errors import DataError, SettingsError
 
 _PATIENCE_S = 2.0
 _NO_KEYS = ("", "")
 
 
-class NotesPanel:
-    """Fields under the card, shown while an error is selected."""
+class NotesPanel(Panel):
+    """Folder under the card, shown while an error is selected."""
 
-    def __init__(self, page: Page) -> None:
-        """Build it, hidden."""
-        self._page = page
+    title = "Note"
+
+    def build(self) -> None:
+        """Add the fields, hidden."""
         # Drawing and saving are done by different threads; the fields are of these keys, and were this note.
         self._lock = threading.Lock()
         self._keys, self._note = _NO_KEYS, Note()
         self._drafts: dict[tuple[str, str], tuple[Note, str, str]] = {}
-        self.folder = page.gui.add_folder("Note", visible=False, expand_by_default=False)
-        with self.folder:
-            self.text: Any = page.gui.add_text("Note", "", multiline=True)
-            self.tags: Any = page.gui.add_text("Tags", "", hint="words between blanks")
-            self.save = page.gui.add_button("Save note")
+        self.folder.visible = False
+        self.text: Any = self._page.gui.add_text("Note", "", multiline=True)
+        self.tags: Any = self._page.gui.add_text("Tags", "", hint="words between blanks")
+        self.save = self._page.gui.add_button("Save note")
         self.save.on_click(lambda _: self._save())
 
     def show(self, shown: Shown) -> None:
@@ -53,16 +54,12 @@ class NotesPanel:
     def _write(self, note: Note) -> None:
         self._note = note
         for field, value in zip((self.text, self.tags), _fields(note), strict=True):
-            if field.value != value:
-                field.value = value
+            set_fields(field, value=value)
 
     def _selected(self, shown: Shown) -> tuple[str, str]:
         """Key and former key of the selected error, "" without one."""
         state = shown.state
-        chosen = state.object_id is not None or state.detection is not None
-        if self._page.notes is None or not chosen or not shown.model.methods(state.drive):
-            return _NO_KEYS
-        if not shown.model.labelled(state.drive):
+        if self._page.notes is None or not state.selects or not shown.judged:
             return _NO_KEYS
         try:
             errors = self._page.report(state, _PATIENCE_S).errors

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 from viser.transforms import SO3
 
 from dsrc.review.labs.placement import Cast, Placement
-from dsrc.review.page.panels.widgets import build_controls, set_fields
-from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.page.controls import Choice, Control, named
+from dsrc.review.page.panels.panel import Panel, set_fields
+from dsrc.review.page.protocol import Shown
 from dsrc.review.page.scene import place_frame
 from dsrc.review.palette import SENSOR
 from dsrc.review.points import subsample
 from dsrc.review.texts import quoted
 from dsrc.review.view import AgentView
 from dsrc.review.worker import Latest
-from sensors.presets import get_lidar
+from sensors.presets import LIDARS, get_lidar
 from sensors.spec import LidarSpec
 from sim.errors import DataError, UserError, complaint
 from sim.geometry import invert, pose_angles
@@ -80,12 +81,30 @@ def usual_place(spec: LidarSpec, agent: AgentView | None, height_m: float) -> Pl
     return Placement((x, y, z))
 
 
-class SensorLabPanel:
+def _carriers(shown: Shown) -> dict[str, Any]:
+    agents = () if shown.view is None else shown.view.agents
+    return {"ego": "ego", "pole": "pole", **{agent.title: str(agent.agent_id) for agent in agents}}
+
+
+class SensorLabPanel(Panel):
     """Folder with the sensor, its carrier and its place; its gizmo and its points are nodes of the scene."""
 
-    def __init__(self, page: Page) -> None:
-        """Build the folder; without a sensor nothing is drawn."""
-        self._page = page
+    title = "Sensor lab"
+    table = (
+        Control("sensor", Choice(named({"none": "", **{name: name for name in LIDARS}})), "Sensor", link="sensor"),
+        Control(
+            "carrier",
+            Choice(_carriers, closed=False),
+            "Carrier",
+            link="carrier",
+            enabled=lambda shown: bool(shown.state.sensor),
+        ),
+        Control("placement", None, link="placement"),
+    )
+
+    def build(self) -> None:
+        """Add the widgets; without a sensor nothing is drawn."""
+        super().build()
         self._latest = Latest(PAUSE_S)
         self._nodes: dict[str, Any] = {}
         self._root = ""
@@ -93,21 +112,19 @@ class SensorLabPanel:
         self._written: dict[str, tuple[float, ...]] = {}
         self._dragged: Placement | None = None
         self.cast: Cast | None = None
-        with page.gui.add_folder("Sensor lab", expand_by_default=False):
-            self.controls = build_controls("Sensor lab", page)
-            self.position = page.gui.add_vector3("Position, m", (0.0, 0.0, 0.0), step=0.1, visible=False)
-            self.angles = page.gui.add_vector2("Yaw, pitch, °", (0.0, 0.0), step=1.0, visible=False)
-            self.usual = page.gui.add_button("Usual place", visible=False)
-            self.text = page.gui.add_markdown("", visible=False)
+        gui = self._page.gui
+        self.position = gui.add_vector3("Position, m", (0.0, 0.0, 0.0), step=0.1, visible=False)
+        self.angles = gui.add_vector2("Yaw, pitch, °", (0.0, 0.0), step=1.0, visible=False)
+        self.usual = gui.add_button("Usual place", visible=False)
+        self.text = gui.add_markdown("", visible=False)
         self.position.on_update(self._take)
         self.angles.on_update(self._take)
-        self.usual.on_click(lambda _: page.update(placement=()))
-        page.on_close(self.close)
+        self.usual.on_click(lambda _: self._page.update(placement=()))
+        self._page.on_close(self.close)
 
     def show(self, shown: Shown) -> None:
         """Set the controls and the gizmo, and ask for the sweep where anything that it depends on has changed."""
-        for control in self.controls:
-            control.show(shown)
+        super().show(shown)
         for handle in (self.position, self.angles, self.usual, self.text):
             set_fields(handle, visible=bool(shown.state.sensor))
         wish = _wish(shown)
@@ -188,8 +205,7 @@ class SensorLabPanel:
         from dsrc.review.labs.casting import open_world
 
         source = self._page.model.sources[wish.drive]
-        folder = getattr(getattr(source, "drive", None), "drive", None)
-        if folder is None:
+        if source.folder is None:
             raise DataError(complaint(source.name, "world", "a recorded drive", f"a source of kind {source.kind}"))
         carrier: int | NDArray[np.float64]
         if wish.carrier is None:
@@ -197,7 +213,7 @@ class SensorLabPanel:
             carrier[:3, 3] += self._page.model.origin(wish.drive)
         else:
             carrier = wish.carrier
-        return open_world(folder).cast(wish.index, wish.time_s, wish.spec, wish.placement, carrier)
+        return open_world(source.folder).cast(wish.index, wish.time_s, wish.spec, wish.placement, carrier)
 
     def _tell(self, wish: _Wish, text: str) -> None:
         if self._wish is not wish:

@@ -2,19 +2,20 @@
 
 import math
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from dsrc.review.errors.filters import KINDS
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.notes import errors_csv
-from dsrc.review.errors.report import RunReport, shown_error
+from dsrc.review.errors.report import BANDS, BROKEN, FIXED, RunReport, shown_error, versus_options
 from dsrc.review.errors.score_plots import BINS, STEPS, curve_svg, histogram_svg
-from dsrc.review.page.panels.widgets import build_controls, set_fields
-from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.page.controls import Choice, Control, detects, named, same
+from dsrc.review.page.panels.panel import Panel, clickable, set_fields
+from dsrc.review.page.protocol import Shown
 from dsrc.review.palette import Rgb
-from dsrc.review.state import IOU_THRESHOLDS, ReviewState, Theme
+from dsrc.review.state import IOU_THRESHOLDS, Listed, ReviewState, Theme, other_run
 from dsrc.review.texts import html_table, quoted
 from dsrc.review.worker import JobProgress
 from sim.boxes import CLASSES
@@ -29,34 +30,61 @@ _CHOSEN = (56, 150, 255)
 _OTHER: dict[Theme, Rgb] = {"dark": (62, 70, 84), "light": (222, 227, 234)}
 """Colours of the other errors' buttons; the browser chooses a text that can be read on them."""
 _NO_FRAME = "–"
+_CLASSES = {"all": "", **{name: name for name in CLASSES}}
+_SEEN = {"anybody or none": "", "the ego": "ego", "helpers alone": "helper", "nobody": "nobody"}
 
 
-class ErrorsPanel:
+def _listed(shown: Shown) -> dict[str, Any]:
+    """Kinds of errors; what is broken and fixed only against another run."""
+    against = other_run(shown.state) is not None
+    return {name: name for name in get_args(Listed) if against or name not in (BROKEN, FIXED)}
+
+
+def _versus(shown: Shown) -> dict[str, Any]:
+    return versus_options(shown.model, shown.state)
+
+
+def _blamed(shown: Shown) -> dict[str, Any]:
+    return {"all methods": "", **{name: name for name in shown.state.methods or list(shown.source.sets)[:1]}}
+
+
+class ErrorsPanel(Panel):
     """Folder with filters, the errors from the worst on, scores of the run and a button that detects in all of it."""
 
-    def __init__(self, page: Page) -> None:
-        """Build it, hidden until there is something to judge."""
-        self._page = page
+    title = "Errors of the run"
+    table = (
+        Control("listed", Choice(_listed), "List", link="errors", shown=detects),
+        Control(
+            "versus",
+            Choice(_versus),
+            "Against",
+            link="against",
+            shown=lambda shown: detects(shown) and len(_versus(shown)) > 1,
+        ),
+        Control("error_method", Choice(_blamed), "Of", link="of", shown=lambda shown: len(shown.state.methods) > 1),
+        Control("error_class", Choice(named(_CLASSES)), "Class", link="class", shown=detects),
+        Control("error_range", Choice(same(*BANDS)), "Distance, m", link="distance", shown=detects),
+        Control("error_seen_by", Choice(named(_SEEN)), "Seen by", link="seen", shown=detects),
+    )
+
+    def build(self) -> None:
+        """Add the widgets, hidden until there is something to judge."""
         self._first = 0
         self._report: RunReport | None = None
-        self._theme: Theme = page.state.theme
-        gui = page.gui
-        self.folder = gui.add_folder("Errors of the run", visible=False, expand_by_default=False)
-        with self.folder:
-            self.progress = gui.add_markdown("")
-            self.bar: Any = gui.add_progress_bar(0.0, visible=False)
-            self.detect = gui.add_button("Detect in all frames", visible=False)
-            with gui.add_folder("Filters", expand_by_default=False):
-                self.controls = build_controls("Errors", page)
-            self.rows = [gui.add_button("", visible=False) for _ in range(ROWS)]
-            self.pages = gui.add_button_group("Errors", ("‹", "›"))
-            self.frames = gui.add_dropdown("Worst frames", (_NO_FRAME,))
-            self.scores = gui.add_html("")
-            self.plots = gui.add_html("")
-            # The script of the page sets them to what is clicked.
-            self.recall: Any = gui.add_number("Clicked recall", -1, visible=False)
-            self.bin: Any = gui.add_number("Clicked bar", -1, visible=False)
-            self.csv = gui.add_button("Save list as CSV")
+        gui, self.folder.visible = self._page.gui, False
+        self.progress = gui.add_markdown("")
+        self.bar: Any = gui.add_progress_bar(0.0, visible=False)
+        self.detect = gui.add_button("Detect in all frames", visible=False)
+        with gui.add_folder("Filters", expand_by_default=False):
+            super().build()
+        self.rows = [gui.add_button("", visible=False) for _ in range(ROWS)]
+        self.pages = gui.add_button_group("Errors", ("‹", "›"))
+        self.frames = gui.add_dropdown("Worst frames", (_NO_FRAME,))
+        self.scores = gui.add_html("")
+        self.plots = gui.add_html("")
+        self.recall: Any = gui.add_number("Clicked recall", -1, visible=False)
+        self.bin: Any = gui.add_number("Clicked bar", -1, visible=False)
+        self.csv = gui.add_button("Save list as CSV")
         for number, button in enumerate(self.rows):
             button.on_click(partial(self._open, number))
         self.pages.on_click(lambda event: self._turn(-ROWS if event.target.value == "‹" else ROWS))
@@ -68,16 +96,13 @@ class ErrorsPanel:
 
     def show(self, shown: Shown) -> None:
         """Write list, scores and progress; a list that is only longer than shown is written again every two seconds."""
-        judged = bool(shown.model.methods(shown.state.drive)) and shown.model.labelled(shown.state.drive)
-        set_fields(self.folder, visible=judged)
-        if not judged:
+        set_fields(self.folder, visible=shown.judged)
+        if not shown.judged:
             return
-        for control in self.controls:
-            control.show(shown)
+        super().show(shown)
+        patience = _PATIENCE_S if self._page.playing or self._page.detecting() else 0.0
         try:
-            report = self._page.report(
-                shown.state, _PATIENCE_S if self._page.playing or self._page.detecting() else 0.0
-            )
+            report = self._page.report(shown.state, patience)
         except SettingsError as error:
             self._clear(str(error))
             return
@@ -85,7 +110,6 @@ class ErrorsPanel:
             self._first, self._report = 0, report
             self._show_scores(shown.state, report)
             self._show_frames(report)
-        self._theme = shown.state.theme
         self._show_rows(shown.state, report)
         self._show_progress(shown, report)
 
@@ -118,16 +142,9 @@ class ErrorsPanel:
             shown = ("–" if math.isnan(ap) else f"{ap:.2f}" for ap in precisions)
             rows.append((name, *shown, *map(str, (c.tp, c.fp, c.fn))))
         self.scores.content = html_table(head, rows)
-        self._draw_scores(state, report)
-
-    def _draw_scores(self, state: ReviewState, report: RunReport) -> None:
-        """Draw the curves and the histogram of the first method; a click goes to what lies there."""
-        drawn = (curve_svg(report, state), histogram_svg(report, state, next(iter(report.counts))))
-        plots = "".join(
-            f'<div data-goto="{clicked._impl.uuid}" style="margin:.3em .6em">{svg}</div>'
-            for clicked, svg in zip((self.recall, self.bin), drawn, strict=True)
-        )
-        set_fields(self.plots, content=plots)
+        curve, histogram = curve_svg(report, state), histogram_svg(report, state, next(iter(report.counts)))
+        plots = [(curve, self.recall), (histogram, self.bin)]
+        set_fields(self.plots, content="".join(clickable(*plot, "margin:.3em .6em") for plot in plots))
 
     def _to_recall(self, event: Any) -> None:
         """Set the threshold that has the clicked recall, and select the detection that decides it."""

@@ -2,20 +2,23 @@
 
 from html import escape
 
-from dsrc.review.page.link import write_link
-from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.page.panels.panel import Panel, set_fields
+from dsrc.review.page.protocol import Shown
 from dsrc.review.texts import html_table
 
 
-class OverviewPanel:
+class OverviewPanel(Panel):
     """Folder at the top of the page, open until an error is looked at."""
 
-    def __init__(self, page: Page) -> None:
-        """Build it, empty."""
-        self._page = page
-        chosen = page.state.object_id is not None or page.state.detection is not None
-        with page.gui.add_folder("Overview", expand_by_default=not chosen):
-            self.table = page.gui.add_html("")
+    title = "Overview"
+
+    def is_open(self) -> bool:
+        """Whether nothing is selected."""
+        return not self._page.state.selects
+
+    def build(self) -> None:
+        """Add the table, empty."""
+        self.table_html = self._page.gui.add_html("")
 
     def show(self, shown: Shown) -> None:
         """Write lines and table, whose links are what the address bar shows there."""
@@ -24,10 +27,8 @@ class OverviewPanel:
 
         def link(row: int, column: int) -> str:
             opens = found.rows[row][column].opens
-            return "" if opens is None else f"?{write_link(shown.model, opens, None)}"
+            return "" if opens is None else f"?{self._page.link(opens)}"
 
         rows = [[cell.text for cell in row] for row in found.rows]
         table = html_table(found.head, rows, link) if rows else ""
-        content = f'{lines}<div style="max-height:22em;overflow:auto">{table}</div>'
-        if self.table.content != content:
-            self.table.content = content
+        set_fields(self.table_html, content=f'{lines}<div style="max-height:22em;overflow:auto">{table}</div>')
