@@ -182,6 +182,9 @@ class Show(msgspec.Struct, frozen=True):
 class Check(msgspec.Struct, frozen=True, kw_only=True):
     """Check that a scenario can be driven and recorded, and prove its encounter by rays.
 
+    The last columns: how fast the ego comes, from which speed it stops in time for what it sees itself, and what that
+    costs; without a speed where the gap decides.
+
     Examples:
         dsrc scenario check my_town
         dsrc scenario check behind_lorries.toml --seed 0 1 2
@@ -197,6 +200,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     def run(self) -> None:
         """Print a line for each seed."""
         from sensors.recording.encounter_check import find_encounter
+        from sensors.recording.safe_speed import safe_speed
         from sensors.recording.scenario_check import check_scenario
         from sim.catalog.load import load_scenario
 
@@ -205,14 +209,19 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
         for seed in self.seed or (scenario.seed,):
             check_scenario(scenario, seed)
             if scenario.conflict is None:
-                rows.append((scenario.name, seed, "", "", "", "", ""))
+                rows.append((scenario.name, seed, *[""] * 8))
                 continue
             found = find_encounter(scenario, seed)
             one = found.proof
             refused = ", ".join(f"{count} {reason}" for reason, count in found.rejected.items())
             sees = [one.critical_ttc_s, one.ego_ttc_s, one.helper_ttc_s]
-            rows.append((scenario.name, seed, *("never" if s is None else s for s in sees), one.helper, refused))
+            safe = safe_speed(found.scenario, seed)
+            speeds = ("", "", "") if safe is None else (safe.comes_mps, safe.safe_mps, safe.costs_s)
+            rows.append(
+                (scenario.name, seed, *("never" if s is None else s for s in sees), one.helper, refused, *speeds)
+            )
         head = ("scenario", "seed", "critical s", "ego sees s", "helper sees s", "helper", "refused draws")
+        head = (*head, "comes m/s", "safe m/s", "costs s")
         sys.stdout.write(f"{Table.of(head, rows).text(shutil.get_terminal_size().columns)}\n")
 
 

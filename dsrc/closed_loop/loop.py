@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dsrc.closed_loop.driving.bicycle import bicycle_step
+from dsrc.closed_loop.driving.bicycle import bicycle_step, wheels_of
 from dsrc.closed_loop.driving.lanes import lanes_of
 from dsrc.closed_loop.driving.own.checked import CheckedDriver
 from dsrc.closed_loop.driving.planner import PlanningDriver
@@ -288,8 +288,9 @@ class ClosedLoop:
             self.traffic.command(self.ego_id, max(0.0, ego.speed_mps + made * step_s))
             return
         pose = np.array([[*ego.box.center[0, :2], ego.box.yaw[0]]])
-        speed, gained, wheel = (np.array([value]) for value in (ego.speed_mps, made, steering))
-        pose, speed = bicycle_step(pose, speed, gained, wheel, float(ego.box.size[0, 0]), step_s)
+        speed, gained, wanted_rad = (np.array([value]) for value in (ego.speed_mps, made, steering))
+        wheels, length_m = wheels_of(self.ticks[-2:][0].ego, ego), float(ego.box.size[0, 0])
+        pose, speed, _ = bicycle_step(pose, speed, wheels, gained, wanted_rad, length_m, step_s)
         self.traffic.place(self.ego_id, pose[0, :2], float(pose[0, 2]), float(speed[0]))
         if self._world is None:
             self._world = solid_world(self.scenario, self.seed)

@@ -210,7 +210,7 @@ def prove_encounter(scenario: Scenario, seed: int, *, hurry: bool = False) -> Pr
         return Proof(holds=False, reason=reason, hit=drive.hit, hit_s=drive.hit_s)
     assert drive.hit_s is not None
     scene = static_scene(scenario, seed)
-    counter = _PointCounter(scene, scenario, seed, drive.steps)
+    counter = PointCounter(scene, scenario, seed, drive.steps)
     ttc, critical, limit = last_chance(drive, scenario.step_s)
     last = len(ttc) - 1
     fields: dict[str, Any] = {
@@ -238,7 +238,7 @@ def prove_encounter(scenario: Scenario, seed: int, *, hurry: bool = False) -> Pr
     return Proof(holds=True, reason="", **fields)
 
 
-def _first_helper(counter: "_PointCounter", ttc: np.ndarray) -> dict[str, Any]:
+def _first_helper(counter: "PointCounter", ttc: np.ndarray) -> dict[str, Any]:
     """Return name and time of the first helper with enough points."""
     for step in range(1, len(ttc), _CHECK_EVERY):
         for name in counter.helpers:
@@ -288,7 +288,7 @@ def roll_out(scenario: Scenario, seed: int) -> Rollout:
         return Rollout(tuple(steps), time_s, others[0] if len(others) == 1 else "+".join(names))
 
 
-class _PointCounter:
+class PointCounter:
     """Counter of the agents' points on the conflict actor, cached by agent and step."""
 
     def __init__(self, scene: RayScene, scenario: Scenario, seed: int, steps: Sequence[Actors]) -> None:

@@ -100,7 +100,7 @@ class ScriptedTraffic(DrivableTraffic):
         """Return the distance left to the goal, see `DrivableTraffic.goal_m`.
 
         It lies `GOAL_M` beyond the place of the crash. Behind a conflict actor that blocks the lane it is the last
-        10 m, reached at less than 1 m/s.
+        10 m, reached at less than 1 m/s, or `GOAL_M` beyond it for an ego that has steered around it.
         """
         ego = self._mover(object_id)
         if ego is not self._ego:
@@ -109,6 +109,8 @@ class ScriptedTraffic(DrivableTraffic):
         if self._meets or self._conflict is None:
             return min(path.nearest(self._hit) + GOAL_M, path.length - 1.0) - ego.at_m
         blocked = path.nearest(self._conflict.actor.path.at(float(self._conflict.actor.place(60.0)))[0][:2])
+        if ego.at_m > blocked:
+            return min(blocked + GOAL_M, path.length - 1.0) - ego.at_m
         lengths = 0.5 * (ego.actor.kind.size[0] + self._conflict.actor.kind.size[0])
         left = blocked - lengths - _BEHIND_M - ego.at_m
         return left if ego.speed < _STANDS_MPS else max(left, _BEHIND_M)

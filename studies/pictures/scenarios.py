@@ -4,17 +4,20 @@ Usage:
     python -m studies.pictures.scenarios --out docs/pictures/scenarios
     python -m studies.pictures.scenarios --out /tmp/pictures --only ima_building ped_dartout --seed 3
     python -m studies.pictures.scenarios --measure 20
+    python -m studies.pictures.scenarios --safe 5
 """
 
 import argparse
 from collections import Counter
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from sensors.recording.encounter_check import Proof, find_encounter
+from sensors.recording.safe_speed import safe_speed
 from sim.boxes import Boxes
 from sim.catalog.load import list_scenarios, load_scenario
 from sim.encounters import ENCOUNTERS, encounter_of
@@ -39,11 +42,14 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="NAME", default=encounters(), help="encounters; all when left out")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--measure", type=int, metavar="SEEDS", help="print what the proofs of so many seeds found")
+    parser.add_argument("--safe", type=int, metavar="SEEDS", help="print the safe speeds of so many seeds")
     options = parser.parse_args()
     for name in options.only:
         scenario = load_scenario(name)
         if options.measure:
             print(measured(scenario, options.measure))
+        if options.safe:
+            print(safe(scenario, options.safe))
         if options.out:
             for path in draw(scenario, options.seed, options.out):
                 print(f"{path}  {path.stat().st_size / 1024:.0f} kB")
@@ -71,6 +77,16 @@ def measured(scenario: Scenario, seeds: int) -> str:
         ", ".join(f"{name} {count}" for name, count in helpers),
     ]
     return f"| {' | '.join(cells)} |"
+
+
+def safe(scenario: Scenario, seeds: int) -> str:
+    """Return a table row: the speed that the ego comes at, the safe one with own sight, and the time that it costs."""
+    found = [safe_speed(find_encounter(scenario, seed).scenario, seed) for seed in range(1, seeds + 1)]
+    known = [one for one in found if one is not None]
+    if not known:
+        return f"| {scenario.name} | - | - | - |"
+    columns = (msgspec.structs.astuple(one) for one in known)
+    return f"| {scenario.name} | {' | '.join(_spread(list(values)) for values in zip(*columns, strict=True))} |"
 
 
 def _spread(values: list[float | None]) -> str:

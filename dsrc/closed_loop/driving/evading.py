@@ -2,7 +2,8 @@
 
 In an emergency it drives a bicycle model ahead, for several offsets from its route and accelerations, within the
 friction circle of its tyres, and takes the smallest offset that hits nobody; full braking along the route comes first.
-It stays on lanes: of its own direction, or oncoming ones that it sees and nobody is on. From then on it decides so at
+It stays on lanes: of its own direction, or oncoming ones where it sees all that it would drive over; like the driver
+that it plans as, it expects nobody whom it does not see. From then on it decides so at
 every step, until the smallest offset is none and it is back on its route. Sampling of ends in lateral offset: M.
 Werling et al., *Optimal Trajectory Generation for Dynamic Street Scenarios in a Frenet Frame*, ICRA 2010; when to
 evade and when to brake: C. Schmidt et al., *Research on Trajectory Planning in Emergency Situations*, IV 2006.
@@ -16,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.closed_loop.driving.bicycle import bicycle_step, steering_for
+from dsrc.closed_loop.driving.bicycle import STEERING_RAD_S, bicycle_step, steering_for, wheels_of
 from dsrc.closed_loop.driving.path import Path, path_of
 from dsrc.closed_loop.driving.planner import PlannerSettings, PlanningDriver
 from dsrc.closed_loop.driving.prediction import Prediction, predict
@@ -27,8 +28,12 @@ from sim.collisions import overlap
 from sim.geometry import Array
 
 _STEP_S = 0.1
-_TURN_S = 0.25
+_TURN_S = 0.3
 """Time in which the heading follows where it steers to, s."""
+_AIM_S, _AIM_M = 0.5, 6.0
+"""Way over which it steers to an offset, s and at least m."""
+_BEND_M = 3.0
+"""Way before and behind a place over which the bend of its route is measured, m."""
 _BACK_M = 12.0
 """Route behind the ego that its offsets are measured from, m."""
 _STATION_M, _ACROSS_M, _WIDEST_M = 4.0, 0.5, 5.0
@@ -49,16 +54,14 @@ class EvadingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         passes_mps: down to this speed; below it gains as much.
         horizon_s: length of the trajectories.
         apart_m: from the body of the ego to others, before, behind and beside it.
-        oncoming_s: time for which nobody must come on an oncoming lane, at its speed limit.
     """
 
     offsets_m: tuple[float, ...] = (0.6, 1.2, 1.8, 2.4, 3.0, 3.6)
-    accelerations_mps2: tuple[float, ...] = (-5.0, -2.5, 0.0)
+    accelerations_mps2: tuple[float, ...] = (-7.0, -6.0, -5.0, -2.5, 0.0)
     slows_mps2: float = -1.0
     passes_mps: float = 6.0
     horizon_s: float = 3.0
     apart_m: tuple[float, float] = (0.3, 0.2)
-    oncoming_s: float = 4.0
 
 
 class EvadingDriver:
@@ -78,7 +81,8 @@ class EvadingDriver:
         self._planner.reset(lanes)
         self._lanes = lanes
         self._seen: SeenSpace | None = None
-        self._steers, self._offset_m = False, 0.0
+        self._last: EgoState | None = None
+        self._steers, self._alarmed, self._offset_m = False, False, 0.0
 
     def see(self, seen: SeenSpace) -> None:
         """Take the newest seen space."""
@@ -87,17 +91,19 @@ class EvadingDriver:
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return the acceleration for the next step, and the steering where the ego leaves its route."""
         plan = self._planner.decide(ego, tracks)
-        if self._lanes is None or not (self._steers or plan.reason == "emergency"):
+        last, self._last = self._last or ego, ego
+        alarmed, self._alarmed = self._alarmed, plan.reason == "emergency"
+        if self._lanes is None or not (self._steers or (alarmed and self._alarmed)):
             return plan
         path = _route(ego)
         where, aside = _beside(path, ego.box.center[:, :2])
         heading = math.remainder(float(ego.box.yaw[0] - path.heading[where[0]]), 2.0 * math.pi)
         offset, acceleration = self._choices(float(aside[0]), plan, ego)
-        poses, steering = _driven(ego, path, offset, acceleration, self.settings.horizon_s)
+        poses, steering = _driven(ego, wheels_of(last, ego), path, offset, acceleration, self.settings.horizon_s)
         if not self._steers and not self._hits(ego, tracks, poses[-1:], (0.0, 0.0))[0]:
             return plan
-        hit = self._hits(ego, tracks, poses, self.settings.apart_m)
-        free = ~hit & self._on_lanes(ego, path, poses)
+        free = (offset == 0.0) | self._on_lanes(ego, path, poses)
+        free[free] = ~self._hits(ego, tracks, poses[free], self.settings.apart_m)
         best = int(free.argmax()) if free.any() else -1
         near = abs(aside[0]) < _ON_ROUTE_M and abs(heading) < _ON_ROUTE_RAD
         self._steers = bool(free.any() and offset[best]) or (self._steers and not near)
@@ -125,13 +131,14 @@ class EvadingDriver:
         """Return (K,) which (K, T, 3) trajectories touch somebody, or come so near."""
         assert self._lanes is not None
         settings = msgspec.structs.replace(
-            self._planner.settings.prediction, horizon_s=self.settings.horizon_s, step_s=2.0 * _STEP_S
+            self._planner.settings.prediction, horizon_s=self.settings.horizon_s, step_s=_STEP_S
         )
         near = np.hypot(*(tracks.boxes.center[:, :2] - ego.box.center[0, :2]).T) < 120.0
-        others = predict(tracks[near], np.zeros(int(near.sum())), self._lanes, settings)
+        accelerations = self._planner.known_accelerations(tracks[near])
+        others = predict(tracks[near], accelerations, self._lanes, settings)
         others = others[others.likely]
         size = ego.box.size[0, :2] + 2.0 * np.array(apart_m)
-        mine = _corners(poses[:, ::2], np.broadcast_to(size, (*poses[:, ::2].shape[:2], 2)))
+        mine = _corners(poses, np.broadcast_to(size, (*poses.shape[:2], 2)))
         touched = np.zeros(len(poses), bool)
         for theirs, itself in zip(_outlines(others), _on_ego(ego, others), strict=True):
             if not itself:
@@ -148,17 +155,20 @@ class EvadingDriver:
         places = path.xy[along][:, None] + across[:, None] * left[:, None]
         pose = np.concatenate([places, np.broadcast_to(heading[:, None, None], (*places.shape[:2], 1))], axis=2)
         pose = pose.reshape(-1, 3)
-        own = self._on_lane(pose)
-        may = own | (self._on_lane(pose + np.array([0.0, 0.0, math.pi])) & self._empty(ego, path, across, along))
-        may = may.reshape(places.shape[:2])
+        oncoming = self._on_lane(pose + np.array([0.0, 0.0, math.pi]))
+        if oncoming.any():
+            oncoming &= self._seen is not None and self._seen.sees(pose[:, :2])
+        lane = np.pad((self._on_lane(pose) | oncoming).reshape(places.shape[:2]), ((0, 0), (1, 1)))
+        may = lane[:, 1:-1] & lane[:, :-2] & lane[:, 2:]  # not on its edge, beyond which a wall may stand
         where, aside = _beside(path, poses[..., :2].reshape(-1, 2))
         turned = np.abs(np.sin(poses[..., 2].ravel() - path.heading[where]))
         half = 0.5 * (ego.box.size[0, 1] + ego.box.size[0, 0] * turned)
-        row = np.minimum(np.searchsorted(along, where), len(along) - 1)
+        front = where + round(0.5 * ego.box.size[0, 0] / (path.along[1] - path.along[0]))
         fine = np.ones(len(where), bool)
-        for column, at in enumerate(across):
-            covered = (at > aside - half) & (at < aside + half)
-            fine &= ~covered | may[row, column]
+        for row in (np.minimum(np.searchsorted(along, end), len(along) - 1) for end in (where, front)):
+            for column, at in enumerate(across):
+                covered = (at > aside - half) & (at < aside + half)
+                fine &= ~covered | may[row, column]
         fine &= np.abs(aside) < _WIDEST_M - 1.0
         return np.asarray(fine.reshape(poses.shape[:2]).all(axis=1))
 
@@ -169,16 +179,6 @@ class EvadingDriver:
         near = [min((math.hypot(*(way[0, :2] - at[:2])) for way in found), default=math.inf)
                 for found, at in zip(ways, pose, strict=True)]  # fmt: skip
         return np.array(near) < _HALF_LANE_M
-
-    def _empty(self, ego: EgoState, path: Path, across: Array, along: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return (N,) whether the lane at places beside the path is seen as far ahead as somebody could come from."""
-        reach_m = self.settings.oncoming_s * (ego.speed_mps + ego.limits.speed_mps)
-        rows = (path.along > _BACK_M) & (path.along < reach_m + _BACK_M)
-        left = np.column_stack([-np.sin(path.heading), np.cos(path.heading)])[rows]
-        if self._seen is None:
-            return np.zeros(len(along) * len(across), bool)
-        seen = [self._seen.sees(path.xy[rows] + at * left).all() for at in across]
-        return np.tile(np.array(seen), len(along))
 
 
 def _route(ego: EgoState) -> Path:
@@ -198,27 +198,37 @@ def _beside(path: Path, xy: Array) -> tuple[NDArray[np.int64], Array]:
 
 
 def _driven(
-    ego: EgoState, path: Path, offset_m: Array, acceleration_mps2: Array, horizon_s: float
+    ego: EgoState, wheels_rad: Array, path: Path, offset_m: Array, acceleration_mps2: Array, horizon_s: float
 ) -> tuple[Array, Array]:
     """Return (K, T, 3) poses on the way to offsets from a path, and the (K,) steering that they begin with, rad."""
     length, grip = float(ego.box.size[0, 0]), ego.limits.deceleration_mps2
     pose = np.tile([*ego.box.center[0, :2], ego.box.yaw[0]], (len(offset_m), 1))
-    speed = np.full(len(offset_m), ego.speed_mps)
+    speed, wheels = np.full(len(offset_m), ego.speed_mps), np.repeat(wheels_rad, len(offset_m))
     sideways = np.sqrt(np.maximum(grip**2 - acceleration_mps2**2, (_BEND * grip) ** 2))
     poses, first = [pose], np.zeros(len(offset_m))
     for step in range(round(horizon_s / _STEP_S)):
         rows, aside = _beside(path, pose[:, :2])
-        ahead_m = np.maximum(0.5 * speed, 2.5)
-        aim = np.minimum(rows + np.rint(ahead_m / (path.along[1] - path.along[0])).astype(np.int64), len(path) - 1)
-        target = path.heading[aim] + np.arctan2(offset_m - aside, ahead_m)
-        rate = np.remainder(target - pose[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+        bend = speed * _bend(path, rows)
+        # Heading once the wheels, which take their time, are back to where the route needs them.
+        turning = speed * np.sin(np.arctan(0.5 * np.tan(wheels))) / (0.5 * length)
+        back_s = np.abs(wheels - steering_for(bend, speed, length)) / STEERING_RAD_S
+        settled = pose[:, 2] + 0.5 * (turning - bend) * back_s
+        target = path.heading[rows] + np.arctan2(offset_m - aside, np.maximum(_AIM_S * speed, _AIM_M))
+        rate = bend + (np.remainder(target - settled + np.pi, 2.0 * np.pi) - np.pi) / _TURN_S
         most = sideways / np.maximum(speed, 0.5)
-        steering = steering_for(np.clip(rate / _TURN_S, -most, most), speed, length)
+        steering = steering_for(np.clip(rate, -most, most), speed, length)
         first = steering if step == 0 else first
-        pose, speed = bicycle_step(pose, speed, acceleration_mps2, steering, length, _STEP_S)
+        pose, speed, wheels = bicycle_step(pose, speed, wheels, acceleration_mps2, steering, length, _STEP_S)
         speed = np.minimum(speed, max(ego.speed_mps, ego.limits.speed_mps))
         poses.append(pose)
     return np.stack(poses, axis=1), first
+
+
+def _bend(path: Path, rows: NDArray[np.int64]) -> Array:
+    """Return the (N,) bends of a path at rows, 1/m, positive to the left."""
+    reach = round(_BEND_M / (path.along[1] - path.along[0]))
+    far, near = np.minimum(rows + reach, len(path) - 1), np.maximum(rows - reach, 0)
+    return np.asarray((path.heading[far] - path.heading[near]) / (path.along[far] - path.along[near]))
 
 
 def _corners(pose: Array, size: Array) -> Array:

@@ -121,6 +121,11 @@ class PlanningDriver:
         occupancy = _with_line(occupancy, line_m, len(prediction.time_s))
         return self._choose(ego, bound, occupancy, prediction.time_s, tracks)
 
+    def known_accelerations(self, tracks: Tracks) -> Array:
+        """Return the (N,) smoothed changes of speed of tracks at the last decision, m/s2; 0 if it did not mind them."""
+        known = [self._speeds.get(number, (0.0, 0.0))[1] for number in tracks.boxes.object_id.tolist()]
+        return np.clip(np.array(known, np.float64), -8.0, 3.0)
+
     def _accelerations(self, tracks: Tracks) -> Array:
         """Return the (N,) smoothed changes of speed of tracks, m/s2."""
         speed = np.hypot(*tracks.velocity.T)
