@@ -220,8 +220,8 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
             rows.append(
                 (scenario.name, seed, *("never" if s is None else s for s in sees), one.helper, refused, *speeds)
             )
-        head = ("scenario", "seed", "critical s", "ego sees s", "helper sees s", "helper", "refused draws")
-        head = (*head, "comes m/s", "safe m/s", "costs s")
+        times = ("critical s", "ego sees s", "helper sees s", "helper", "refused draws")
+        head = ("scenario", "seed", *times, "comes m/s", "safe m/s", "costs s")
         sys.stdout.write(f"{Table.of(head, rows).text(shutil.get_terminal_size().columns)}\n")
 
 

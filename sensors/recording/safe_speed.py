@@ -35,6 +35,7 @@ _EXACT_MPS = 0.25
 _ONWARD_M = 8.0
 """Way of the conflict actor beyond the collision that counts as its, m: past the body of the ego."""
 _ALIKE, _STANDS_MPS = 0.8, 1.0
+"""Cosine between two headings from which on they drive along, and speed up to which an actor stands."""
 
 
 class SafeSpeed(msgspec.Struct, frozen=True, kw_only=True):
@@ -70,9 +71,9 @@ def safe_speed(scenario: Scenario, seed: int) -> SafeSpeed | None:
     assert drive.hit_s is not None
     steps = drive.steps[: round(drive.hit_s / scenario.step_s) + 1]
     way, last = _Way.of(steps), steps[-1]
-    ego, conflict = (last.velocity[last.row(number)] for number in (EGO_ID, CONFLICT_ID))
-    speed, other = np.hypot(*ego), np.hypot(*conflict)
-    if other > _STANDS_MPS and ego @ conflict > _ALIKE * speed * other:
+    turned = np.subtract(*last.boxes.yaw[[last.row(EGO_ID), last.row(CONFLICT_ID)]])
+    moves = any(np.hypot(*one.velocity[one.row(CONFLICT_ID)]) > _STANDS_MPS for one in steps if _is_in(one))
+    if moves and np.cos(turned) > _ALIKE:
         return None
     scene, entry_m = static_scene(scenario, seed), way.entry_m(steps)
     came, low = float(way.speed[limit]), 0.0
@@ -111,7 +112,7 @@ class _Way:
 
     def entry_m(self, steps: tuple[Actors, ...]) -> float:
         """Return the distance at which the ego first touches where the conflict actor drives or stands."""
-        bodies = np.concatenate([_outline(step, CONFLICT_ID) for step in steps if CONFLICT_ID in step.boxes.object_id])
+        bodies = np.concatenate([_outline(step, CONFLICT_ID) for step in steps if _is_in(step)])
         onward = _outline(steps[-1], CONFLICT_ID, _ONWARD_M)
         places = np.arange(0.0, self.along[-1], 0.1)
         center, yaw = self.at(places)
@@ -121,6 +122,11 @@ class _Way:
         for body in (*bodies, *onward):
             touched |= overlap(mine, body[None])
         return float(places[touched.argmax()]) if touched.any() else float(self.along[-1])
+
+
+def _is_in(actors: Actors) -> bool:
+    """Return whether the conflict actor is there, which may come later."""
+    return CONFLICT_ID in actors.boxes.object_id
 
 
 def _outline(actors: Actors, number: int, ahead_m: float = 0.0) -> Array:

@@ -11,7 +11,7 @@ from dsrc.closed_loop.metrics.driven import Motion
 from dsrc.closed_loop.metrics.driving_score import driving_score_2_0, driving_score_2_1, infractions_of
 from dsrc.closed_loop.metrics.pdms import pdms
 from dsrc.closed_loop.metrics.progress import progress
-from dsrc.closed_loop.metrics.sight import first_sight, information
+from dsrc.closed_loop.metrics.sight import first_sight, information, tracking_loss
 from dsrc.closed_loop.metrics.surrogate import (
     drac,
     exposure,
@@ -38,7 +38,7 @@ class EpisodeMetrics(msgspec.Struct, frozen=True, kw_only=True):
         completion: share of the reference distance, 0 to 1, see `progress`.
         mean_speed_mps: distance over duration, m/s.
         driving_score_2_0, driving_score_2_1: CARLA's driving scores, 0 to 1.
-        pdms: NAVSIM's score, 0 to 1.
+        pdms, epdms: NAVSIM's scores, 0 to 1; of the extended one what a log tells, see `dsrc.closed_loop.metrics.pdms`.
         comfort: share of steps within all of nuPlan's bounds, 0 to 1.
         worst_discomfort: largest ratio of a signal to its bound.
         hardest_brake_mps2: largest decrease of the ego's speed before a contact, m/s2.
@@ -51,6 +51,7 @@ class EpisodeMetrics(msgspec.Struct, frozen=True, kw_only=True):
         min_headway_s: smallest net time headway, s.
         min_distance_m: smallest distance to a road user before a contact, m.
         seen_s, seen_ttc_s, tracked_s: first sight of the conflict actor, see `Sight`.
+        tracking_loss: risk of road users without a track, see `tracking_loss`.
         information_age_s, message_age_s, received_mb, sent_mb: see `Information`.
     """
 
@@ -67,6 +68,7 @@ class EpisodeMetrics(msgspec.Struct, frozen=True, kw_only=True):
     driving_score_2_0: float
     driving_score_2_1: float
     pdms: float
+    epdms: float
     comfort: float
     worst_discomfort: float
     hardest_brake_mps2: float
@@ -81,6 +83,7 @@ class EpisodeMetrics(msgspec.Struct, frozen=True, kw_only=True):
     seen_s: float
     seen_ttc_s: float
     tracked_s: float
+    tracking_loss: float
     information_age_s: float
     message_age_s: float
     received_mb: float
@@ -104,7 +107,7 @@ def episode_metrics(log: EpisodeLog, reference: EpisodeLog | None = None) -> Epi
     ttc, smooth = ttc_series(motion), comfort(motion, step_s)
     tet_s, tit_s2 = exposure(ttc, step_s)
     duration_s = step_s * (len(log) - 1)
-    sight, known = first_sight(log), information(log)
+    sight, known, navsim = first_sight(log), information(log), pdms(log, reference)
     return EpisodeMetrics(
         duration_s=duration_s,
         collision=float(contact is not None),
@@ -118,7 +121,8 @@ def episode_metrics(log: EpisodeLog, reference: EpisodeLog | None = None) -> Epi
         mean_speed_mps=made.driven_m / duration_s if duration_s > 0.0 else math.nan,
         driving_score_2_0=driving_score_2_0(made.completion, infractions),
         driving_score_2_1=driving_score_2_1(made.completion, infractions),
-        pdms=pdms(log, reference).score,
+        pdms=navsim.score,
+        epdms=navsim.extended,
         comfort=smooth.share,
         worst_discomfort=smooth.worst,
         hardest_brake_mps2=_hardest_brake(log, len(motion)),
@@ -133,6 +137,7 @@ def episode_metrics(log: EpisodeLog, reference: EpisodeLog | None = None) -> Epi
         seen_s=sight.seen_s,
         seen_ttc_s=sight.seen_ttc_s,
         tracked_s=sight.tracked_s,
+        tracking_loss=tracking_loss(log),
         information_age_s=known.age_s,
         message_age_s=known.message_age_s,
         received_mb=known.received_mb,

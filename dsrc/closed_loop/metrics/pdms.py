@@ -3,6 +3,10 @@
 NAVSIM scores four seconds of a plan against recorded traffic; here it is the whole drive in traffic that reacts. Two
 terms differ: for want of a map the drivable area are the lanes of the traffic, and every place counts as an
 intersection, so the time to collision minds all but those who are behind the ego now.
+
+Of the extended score (EPDMS, NAVSIM v2) two terms are left out: driving direction, since a log does not tell the
+directions of lanes, and extended comfort, which compares plans that follow one another, since a log has none. Its
+filter of what the human driver did as well has no counterpart.
 """
 
 import math
@@ -13,7 +17,7 @@ import numpy as np
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.comfort import comfort
 from dsrc.closed_loop.metrics.driven import Motion
-from dsrc.closed_loop.metrics.driving_score import off_lane_share
+from dsrc.closed_loop.metrics.driving_score import off_lane_share, red_lights_run
 from dsrc.closed_loop.metrics.progress import progress
 from dsrc.closed_loop.types import Outcome
 from sim.boxes import Boxes
@@ -24,6 +28,8 @@ AHEAD_S = (0.0, 0.3, 0.6, 0.9)
 """Times ahead at which collisions of the ego's projection are looked for, within 1 s."""
 STANDING_MPS = 0.005
 BEHIND_RAD = math.radians(150.0)
+ASIDE_M, ASIDE_S = 0.5, 2.0
+"""Distance from the middle of its lane, and for how long, from which on the ego does not keep it."""
 LEAST_REFERENCE_M = 5.0
 """Reference distance up to which progress is complete."""
 
@@ -36,7 +42,9 @@ class Pdms(msgspec.Struct, frozen=True, kw_only=True):
         drivable: 1 if the ego stayed on the road, else 0 (DAC).
         time_to_collision: 1 if no projection collides within 1 s, else 0 (TTC).
         progress: 0 to 1 (EP).
-        comfortable: 1 within all bounds, else 0 (C); 1 for an episode too short to tell.
+        comfortable: 1 within all bounds, else 0 (C; HC of the extended score); 1 for an episode too short to tell.
+        lights: 1 without a red light run, else 0 (TLC).
+        lane_keeping: 0 if the ego was 0.5 m beside its route for longer than 2 s, else 1 (LK).
     """
 
     no_collision: float
@@ -44,6 +52,8 @@ class Pdms(msgspec.Struct, frozen=True, kw_only=True):
     time_to_collision: float
     progress: float
     comfortable: float
+    lights: float = 1.0
+    lane_keeping: float = 1.0
 
     @property
     def score(self) -> float:
@@ -54,6 +64,15 @@ class Pdms(msgspec.Struct, frozen=True, kw_only=True):
         """
         mean = (5.0 * self.time_to_collision + 5.0 * self.progress + 2.0 * self.comfortable) / 12.0
         return self.no_collision * self.drivable * mean
+
+    @property
+    def extended(self) -> float:
+        """NC DAC TLC (5 TTC + 5 EP + 2 LK + 2 HC) / 14, without the terms that a log cannot tell, see the module.
+
+        Source: `docs/metrics.md` of NAVSIM's devkit, version 2.
+        """
+        mean = 5.0 * self.time_to_collision + 5.0 * self.progress + 2.0 * self.lane_keeping + 2.0 * self.comfortable
+        return self.no_collision * self.drivable * self.lights * mean / 14.0
 
 
 def pdms(log: EpisodeLog, reference: EpisodeLog | None = None) -> Pdms:
@@ -72,7 +91,22 @@ def pdms(log: EpisodeLog, reference: EpisodeLog | None = None) -> Pdms:
         time_to_collision=float(_projections_are_free(motion, log.actors.step_s)),
         progress=1.0 if made.reference_m <= LEAST_REFERENCE_M else made.completion,
         comfortable=1.0 if math.isnan(smooth) else smooth,
+        lights=float(red_lights_run(log) == 0),
+        lane_keeping=float(_longest_aside_s(log, len(motion)) <= ASIDE_S),
     )
+
+
+def _longest_aside_s(log: EpisodeLog, steps: int) -> float:
+    """Return the longest time that the ego was beside the line of its route, s."""
+    longest = since = 0
+    for ego in (tick.ego for tick in log.ticks[:steps]):
+        aside = 0.0
+        if len(ego.route) > 2:  # it leads from the ego's centre to its lane
+            way, here = ego.route[2] - ego.route[1], ego.box.center[0, :2] - ego.route[1]
+            aside = abs(float(way[0] * here[1] - way[1] * here[0])) / max(float(np.hypot(*way)), 1e-6)
+        since = since + 1 if aside > ASIDE_M else 0
+        longest = max(longest, since)
+    return longest * log.actors.step_s
 
 
 def _projections_are_free(motion: Motion, step_s: float) -> bool:

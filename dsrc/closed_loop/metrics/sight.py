@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 
 from dsrc.closed_loop.log import EpisodeLog
+from dsrc.closed_loop.metrics.driven import Motion
 from dsrc.closed_loop.metrics.surrogate import times_to_collision
 from dsrc.closed_loop.types import Tick
 from sim.boxes import Boxes
@@ -50,6 +51,26 @@ def first_sight(log: EpisodeLog) -> Sight:
         if math.isnan(tracked_s) and _has(tick.tracks.boxes, tick.actors):
             tracked_s = since_s
     return Sight(seen_s=seen_s, seen_ttc_s=seen_ttc_s, tracked_s=tracked_s)
+
+
+def tracking_loss(log: EpisodeLog) -> float:
+    """Return the risk of tracking loss: the integral of the risk over the time in which road users have no track.
+
+    The risk of each is the inverse of its time to collision with the ego at constant velocities, 1/s, or none beyond
+    10 s; a step counts up to the inverse of its length. The integral over all is without unit.
+
+    Source: A. Wang, T. Xie, F. Wen and J. Li, An empirical analysis of cooperative perception for occlusion risk
+    mitigation, IEEE Internet of Things Journal (2026), arXiv 2602.23051, for the integral; the inverse of the time to
+    collision as the risk is our choice.
+    """
+    motion, step_s, found = Motion.of(log), log.actors.step_s, 0.0
+    for t, tick in zip(range(len(motion)), log.ticks, strict=False):
+        others, velocity = motion.others(t)
+        apart = others.center[:, None, :2] - tick.tracks.boxes.center[None, :, :2]
+        lost = np.asarray((np.hypot(apart[..., 0], apart[..., 1]) > MATCH_M).all(axis=1))
+        times = times_to_collision(motion.boxes[t : t + 1], motion.velocity[t], others[lost], velocity[lost])
+        found += float((step_s / np.maximum(times, step_s)).sum())
+    return found
 
 
 def _has(boxes: Boxes, actors: Actors) -> bool:

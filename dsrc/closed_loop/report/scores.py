@@ -23,8 +23,8 @@ def success(one: Result) -> float:
 
 
 SCORE_HEADS = (
-    *("perception", "condition", "episodes", "success", "score 2.0", "score 2.1", "PDMS", "comfort"),
-    *("s to arrive", "hardest brake m/s²", "first sight s", "its track s"),
+    *("perception", "condition", "episodes", "success", "score 2.0", "score 2.1", "PDMS", "EPDMS", "comfort"),
+    *("s to arrive", "hardest brake m/s²", "first sight s", "its track s", "tracking loss"),
 )
 
 
@@ -34,7 +34,7 @@ def score_rows(results: Sequence[EpisodeResult]) -> list[tuple[str, ...]]:
     for perception, title, group in groups(results):
         met = _met(group)
         there = [one for one in met if arrived(one)]
-        names = ("driving_score_2_0", "driving_score_2_1", "pdms", "comfort")
+        names = ("driving_score_2_0", "driving_score_2_1", "pdms", "epdms", "comfort")
         means = [mean([metric(one, name) for one in met]) for name in names]
         numbers = (
             share(rate([success(one) for one in met])),
@@ -43,6 +43,7 @@ def score_rows(results: Sequence[EpisodeResult]) -> list[tuple[str, ...]]:
             number(mean([metric(one, "hardest_brake_mps2") for one in met])),
             number(mean([metric(one, "seen_s") for one in met])),
             number(mean([metric(one, "tracked_s") for one in met])),
+            number(mean([metric(one, "tracking_loss") for one in met])),
         )
         rows.append((perception, title, str(len(met)), *numbers))
     return rows

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -120,6 +121,27 @@ def test_pdms_weighs_its_terms_as_navsim_does() -> None:
     assert terms.score == pytest.approx((0.0 + 3.0 + 2.0) / 12.0)
     assert Pdms(no_collision=0.5, drivable=1.0, time_to_collision=1.0, progress=1.0, comfortable=1.0).score == 0.5
     assert Pdms(no_collision=1.0, drivable=0.0, time_to_collision=1.0, progress=1.0, comfortable=1.0).score == 0.0
+
+
+def test_the_extended_score_weighs_its_terms_as_navsim_does() -> None:
+    terms = Pdms(no_collision=1.0, drivable=1.0, time_to_collision=1.0, progress=0.6, comfortable=0.0, lane_keeping=0.0)
+    assert terms.extended == pytest.approx((5.0 + 3.0) / 14.0)
+    assert msgspec.structs.replace(terms, lights=0.0).extended == 0.0
+
+
+@pytest.mark.parametrize(("aside_m", "kept"), [(0.4, 1.0), (0.6, 0.0)])
+@pytest.mark.parametrize(("steps", "long"), [(20, False), (25, True)])
+def test_who_drives_beside_the_route_for_two_seconds_does_not_keep_the_lane(
+    aside_m: float, kept: float, steps: int, long: bool
+) -> None:
+    plain = episode([Mover("ego", ahead(10.0))], steps)
+    ticks = []
+    for tick in plain.ticks:
+        x, y = tick.ego.box.center[0, :2]
+        route = np.array([[x, y], [x + 2.0, y + aside_m], [x + 30.0, y + aside_m]])
+        ticks.append(replace(tick, ego=replace(tick.ego, route=route)))
+    log = EpisodeLog(plain.settings, plain.actors[0], ticks, plain.outcome)
+    assert pdms(log).lane_keeping == (kept if long else 1.0)
 
 
 def test_pdms_of_episodes() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.metrics.sight import first_sight, information
+from dsrc.closed_loop.metrics.sight import first_sight, information, tracking_loss
 from dsrc.closed_loop.types import Percept
 from sim.radio import Link, Obstruction
 from sim.traffic.base import Actors
@@ -52,6 +52,23 @@ def test_a_late_percept_is_compared_with_where_the_actor_was_and_counts_when_it_
 def test_without_a_conflict_actor_there_is_nothing_to_see() -> None:
     log = episode([Mover("ego", ahead(1.0)), Mover("car", ahead(1.0, x=9.0))], 3, sees=lambda now: percept_of(now, [1]))
     assert math.isnan(first_sight(log).seen_s)
+
+
+def test_the_risk_of_tracking_loss_is_the_inverse_time_to_collision_over_the_time_without_a_track() -> None:
+    """At 10 m/s the rear of a standing car is 30 m ahead of the front: 3.0 s, then 2.9 s, until it has a track."""
+    lost = episode(MOVERS, 11)
+    assert tracking_loss(lost) == pytest.approx(sum(0.1 / (3.0 - 0.1 * step) for step in range(11)), rel=1e-3)
+    tracks = replace(
+        lost.ticks[0].tracks,
+        boxes=lost.ticks[0].actors.boxes[1:],
+        **{name: np.zeros(1) for name in ("yaw_rate", "position_sd", "score", "unseen_s")},
+        velocity=np.zeros((1, 2)),
+    )
+    ticks = [replace(tick, tracks=tracks) if step >= 5 else tick for step, tick in enumerate(lost.ticks)]
+    found = EpisodeLog(lost.settings, lost.actors[0], ticks, lost.outcome)
+    assert tracking_loss(found) == pytest.approx(sum(0.1 / (3.0 - 0.1 * step) for step in range(5)), rel=1e-3)
+    away = [Mover("ego", ahead(10.0)), Mover("conflict", ahead(10.0, x=34.0))]
+    assert tracking_loss(episode(away, 5)) == 0.0
 
 
 def test_information_ages_between_percepts() -> None:
