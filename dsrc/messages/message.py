@@ -86,13 +86,16 @@ class Told:
     attacked: bool
 
 
-def near_any(boxes: Boxes, others: Boxes, least_m: float = SAME_M) -> NDArray[np.bool_]:
-    """Return (N,) whether another box has its centre within `least_m`, or half the length of the longer one."""
-    if not len(boxes) or not len(others):
-        return np.zeros(len(boxes), bool)
+def near_pairs(boxes: Boxes, others: Boxes, least_m: float = SAME_M) -> NDArray[np.bool_]:
+    """Return (N, M) whether two boxes have centres within `least_m`, or half the length of the longer one."""
     distance = np.linalg.norm(boxes.center[:, None, :2] - others.center[None, :, :2], axis=2)
     longer = np.maximum(boxes.size[:, None, 0], others.size[None, :, 0])
-    return np.asarray((distance <= np.maximum(least_m, 0.5 * longer)).any(axis=1))
+    return np.asarray(distance <= np.maximum(least_m, 0.5 * longer))
+
+
+def near_any(boxes: Boxes, others: Boxes, least_m: float = SAME_M) -> NDArray[np.bool_]:
+    """Return (N,) whether another box is near, see `near_pairs`."""
+    return np.asarray(near_pairs(boxes, others, least_m).any(axis=1))
 
 
 def tells_boxes(detector: SampleDetector) -> bool:

@@ -12,7 +12,8 @@ DRIVERS = ("planning", "anticipating", "evading", "careful", "MODULE:CLASS", "PR
 NO_DEFENCE = "none"
 DEFENCES = ("agreement", "free-space", "motion", "trust")
 """Defences by name, in the order in which they act."""
-PERCEPTIONS = ("truth", "sight", "team-sight", "ego", "team", "late", "cpm", "FILE", "MODEL.json", "MODULE:CLASS")
+_TOLD = ("late", "cpm", "cpm-dynamics", "cpm-distance")
+PERCEPTIONS = ("truth", "sight", "team-sight", "ego", "team", *_TOLD, "FILE", "MODEL.json", "MODULE:CLASS")
 
 
 class DriveOptions(msgspec.Struct, frozen=True):
@@ -22,7 +23,8 @@ class DriveOptions(msgspec.Struct, frozen=True):
         what: scenario, TOML of a campaign, or log of an episode to look at again.
         perception: what the ego perceives: the truth, the truth in its line of sight or in any agent's (team-sight),
             its detector alone, the detector with helpers, detections of each agent alone joined (late; cpm: as ETSI's
-            Collective Perception Messages), the detector of a file with helpers (ego=FILE: alone, late=FILE: joined),
+            Collective Perception Messages; cpm-dynamics, cpm-distance: less what others tell), the detector of a file
+            with helpers (ego=FILE: alone, late=FILE: joined),
             an error model (dsrc model fit), or a class of one's own; NAME=PERCEPTION names a line of the table;
             default: truth.
         checkpoint: detector file; default: the shipped one.

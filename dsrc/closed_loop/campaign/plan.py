@@ -38,7 +38,7 @@ from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.error_model.model import read_model
 from dsrc.closed_loop.perception.open import (
     ALONE,
-    CPM,
+    CPMS,
     LATE,
     MODELLED,
     TELLING,
@@ -310,7 +310,7 @@ def campaign_of(options: DriveOptions) -> Campaign:
                 raise SettingsError(complaint("drive", field, expected, str(number)))
     if repeated := [seed for seed in options.seed if options.seed.count(seed) > 1]:
         raise SettingsError(complaint("drive", "seed", "numbers that differ", str(repeated[0])))
-    takers = [one.name for one in asked if not one.file and one.kind in (ALONE, TOGETHER, LATE, CPM, MODELLED)]
+    takers = [one.name for one in asked if not one.file and one.kind in (ALONE, TOGETHER, LATE, *CPMS, MODELLED)]
     if checkpoint and not takers:
         raise SettingsError(f"drive: perception '{asked[0].name}' takes no detector file; leave out --checkpoint")
     perceptions = tuple(

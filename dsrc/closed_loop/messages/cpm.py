@@ -1,4 +1,4 @@
-"""Collective Perception Messages of ETSI TS 103 324 V2.1.1 (2023-06): when which objects are told, and how finely.
+"""Collective Perception Messages of ETSI TS 103 324 V2.1.1 (2023-06) over time: when which objects are told.
 
 * A message is made at most every 0.1 s and at least every second (6.1.2.1; Table F.1): here at each sweep at which an
   object is told, or after a second.
@@ -6,13 +6,12 @@
   than 0.5 m/s or their direction by 4 degrees, or were told a second ago (6.1.2.3, rule 2). What is slower than 0.5 m/s
   has no direction: that of a standing track is noise.
 * Pedestrians and bicycles, Type-A: all of them when one is new or was told half a second ago (6.1.2.3, rule 1).
-* Resolutions and ranges are those of the data elements of `PerceivedObject` in ETSI TS 102 894-2 V2.1.1, see
-  `quantised`. Times are those of the sweep, to the millisecond.
+* With a rule of redundancy mitigation, what others told is left out, see `dsrc.messages.cpm`.
 
-Nothing is encoded: sizes are those of `sim.radio.cpm_bytes`. Redundancy mitigation, by which senders leave out what
-others tell, is not done. Objects are tracks: the message states velocities and turn rates.
+Times are those of the sweep, to the millisecond. Objects are tracks: the message states velocities and turn rates.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,10 +19,10 @@ import numpy as np
 from dsrc.closed_loop.messages.present import advanced
 from dsrc.closed_loop.tracking.tracker import Tracker
 from dsrc.closed_loop.types import Percept, Tracks
+from dsrc.messages.cpm import Cpm, quantised, redundant
 from dsrc.messages.message import Objects
 from sim.boxes import CLASSES, Boxes
 from sim.geometry import Array, wrap_angle
-from sim.radio import cpm_bytes
 
 SHORTEST_S = 0.1
 """`T_GenCpmMin`: shortest time between two messages, s."""
@@ -37,51 +36,6 @@ _TYPE_A = [CLASSES.index(name) for name in ("pedestrian", "bicycle")]
 _SLACK_S = 1e-6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Cpm:
-    """One message.
-
-    Attributes:
-        time_s: instant of its objects, s.
-        objects: N objects with velocities, world frame; `object_id` is the sender's number of each.
-        rate: (N,) turn rates, rad/s.
-    """
-
-    time_s: float
-    objects: Objects
-    rate: Array
-
-    @property
-    def bytes(self) -> int:
-        """Size on air."""
-        return cpm_bytes(len(self.objects))
-
-
-def quantised(tracks: Tracks) -> tuple[Objects, Array]:
-    """Return tracks as a message states them, and their turn rates, rad/s.
-
-    Data elements of ETSI TS 102 894-2 V2.1.1: `CartesianCoordinateLarge` 0.01 m, here from the world's origin in place
-    of the sender; `VelocityComponentValue` 0.01 m/s, to 163.83; `CartesianAngleValue` 0.1 degrees;
-    `CartesianAngularVelocityComponentValue` 1 degree/s, to 254; `ObjectDimensionValue` 0.1 to 25.4 m in steps of 0.1;
-    `ConfidenceLevel` 1 to 100 %.
-    """
-    boxes = tracks.boxes
-    stated = Boxes(
-        _steps(boxes.center, 0.01),
-        _steps(boxes.size, 0.1, 0.1, 25.4),
-        wrap_angle(_steps(boxes.yaw, np.radians(0.1))),
-        boxes.label,
-        boxes.object_id,
-    )
-    velocity = _steps(tracks.velocity, 0.01, -163.83, 163.83)
-    rate = _steps(tracks.yaw_rate, np.radians(1.0), -np.radians(254.0), np.radians(254.0))
-    return Objects(stated, _steps(tracks.score, 0.01, 0.01, 1.0), velocity), rate
-
-
-def _steps(values: Array, step: float, low: float = -np.inf, high: float = np.inf) -> Array:
-    return np.clip(np.rint(values / step) * step, low, high)
-
-
 @dataclass(frozen=True, slots=True)
 class _Told:
     """An object as it was told last."""
@@ -92,26 +46,33 @@ class _Told:
 
 
 class CpmSender:
-    """Sender of an agent over an episode: it tracks what it detects and tells of it by the rules."""
+    """Sender of an agent over an episode: it tracks what it detects and tells of it by the rules.
 
-    def __init__(self) -> None:
-        self._tracker = Tracker()
+    Args:
+        rule: of redundancy mitigation, see `dsrc.messages.cpm`.
+    """
+
+    def __init__(self, rule: str = "") -> None:
+        self._tracker, self._rule = Tracker(), rule
         self._told: dict[int, _Told] = {}
         self._sent_s = -np.inf
         self._before = self._told, self._sent_s
 
-    def message(self, detected: Objects, time_s: float) -> Cpm | None:
+    def message(self, detected: Objects, time_s: float, place: Array, heard: Sequence[Cpm] = ()) -> Cpm | None:
         """Return the message of an instant, None where none is made; instants come in their order.
 
         Args:
             detected: objects that the agent detects now, world frame.
+            place: (2,) of the agent, world frame, m.
+            heard: messages of others, for redundancy mitigation.
         """
         percept = Percept(time_s, detected.boxes, detected.score, detected.velocity)
         tracks = self._tracker.update(percept, time_s)
         tracks = tracks[tracks.unseen_s <= _SLACK_S]
         if time_s - self._sent_s < SHORTEST_S - _SLACK_S:
             return None
-        due = self._due(tracks, time_s)
+        objects = Objects(tracks.boxes, tracks.score, tracks.velocity)
+        due = self._due(tracks, time_s) & ~redundant(self._rule, objects, place, heard, time_s)
         if not due.any() and time_s - self._sent_s < LONGEST_S - _SLACK_S:
             return None
         told = tracks[due]
@@ -121,7 +82,7 @@ class CpmSender:
         ):
             self._told[number] = _Told(time_s, xy, velocity)
         self._sent_s = time_s
-        return Cpm(round(time_s, 3), *quantised(told))
+        return Cpm(round(time_s, 3), *quantised(objects[due], told.yaw_rate), place)
 
     def withdraw(self) -> None:
         """Take the last message back, which the channel did not let out: its objects are yet to be told."""

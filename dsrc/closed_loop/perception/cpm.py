@@ -1,18 +1,17 @@
 """Detector whose helpers send ETSI's Collective Perception Messages in place of all their boxes."""
 
 from dataclasses import replace
+from typing import Any
 
-import numpy as np
-
-from dsrc.closed_loop.messages.cpm import Cpm, CpmPicture, CpmSender
+from dsrc.closed_loop.messages.cpm import CpmPicture, CpmSender
 from dsrc.closed_loop.perception.detector import DetectorPerception
-from dsrc.data.sample import Sample
+from dsrc.data.sample import Sample, SampleDetector
+from dsrc.messages.cpm import Cpm, placed
 from dsrc.messages.message import Objects, Told, as_detections, as_objects, tells_boxes
 from dsrc.messages.seen_space import SeenSpace
 from dsrc.models.device import one_thread
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame
-from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint
 from sim.geometry import invert
 from sim.radio import MAX_AGE, Link
@@ -26,9 +25,16 @@ class CpmPerception(DetectorPerception):
     Each helper detects and tracks at every sweep, and its messages have the size of their objects. The ego keeps every
     object as it was told last, moved to the present.
 
+    Args:
+        rule: of redundancy mitigation, see `dsrc.messages.cpm`.
+
     Raises:
         SettingsError: as `DetectorPerception`; a detector whose agents do not tell boxes.
     """
+
+    def __init__(self, detector: SampleDetector, *, rule: str = "", **settings: Any) -> None:
+        super().__init__(detector, **settings)
+        self._rule = rule
 
     def reset(self, scenario: Scenario, ego_id: int, seed: int) -> None:
         """Begin an episode."""
@@ -48,10 +54,13 @@ class CpmPerception(DetectorPerception):
             parts = self.detector.detect_each(sample)  # type: ignore[attr-defined]  # see `reset`
         own, *told = (as_objects(part, self._world_from_sample(sample)) for part in parts)
         self._own: Objects = own
-        made = self._messages[self.senses.index] = {
-            agent: self._senders.setdefault(agent, CpmSender()).message(one, frame.time_s)
-            for agent, one in zip(sample.agent_ids[1:], told, strict=True)
-        }
+        made = self._messages[self.senses.index] = dict[int, Cpm | None]()
+        for agent, one in zip(sample.agent_ids[1:], told, strict=True):
+            said = (message for each in self._messages.values() for name, message in each.items() if name != agent)
+            heard = [message for message in said if message is not None]
+            place = frame.agent(agent).sweep.world_from_lidar[:2, 3]
+            sender = self._senders.setdefault(agent, CpmSender(self._rule))
+            made[agent] = sender.message(one, frame.time_s, place, heard)
         self._messages.pop(self.senses.index - MAX_AGE - 1, None)
         for agent, message in made.items():
             if message is not None and self._receiver.held(self._past, self.senses.index, agent, self._ego_id):
@@ -83,8 +92,4 @@ class CpmPerception(DetectorPerception):
         pose = self._receiver.believed_pose(sender, frame.time_s, number)
         if pose is sender.sweep.world_from_lidar:
             return message
-        moved = pose @ invert(sender.sweep.world_from_lidar)
-        objects = message.objects
-        velocity = objects.velocity @ moved[:2, :2].T
-        boxes: Boxes = objects.boxes.transform(moved)
-        return replace(message, objects=Objects(boxes, np.asarray(objects.score), velocity))
+        return replace(message, objects=placed(message, pose @ invert(sender.sweep.world_from_lidar)))

@@ -1,6 +1,7 @@
 """Perceptions by name: truth, detectors by checkpoint, and classes of one's own."""
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
@@ -10,6 +11,7 @@ from dsrc.data.sample import SampleDetector
 from dsrc.detectors.classes import OwnDetector, load_own
 from dsrc.detectors.texts import SHIPPED_DETECTOR, kind_of, split_name
 from dsrc.faults.fault import Fault, Faults, parse_faults, require_apart
+from dsrc.messages.cpm import RULES
 from dsrc.messages.defences import Defence, parse_defence
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, CorruptedAgents, Family
 from sim.errors import SettingsError, complaint, did_you_mean, warn_deprecated
@@ -25,13 +27,14 @@ TOGETHER = "team"
 LATE = "late"
 """A detector of each agent alone, and their boxes joined."""
 CPM = "cpm"
-"""As `LATE`, by ETSI's Collective Perception Messages."""
+"""As `LATE`, by ETSI's Collective Perception Messages; `cpm-RULE` with a rule of redundancy mitigation."""
+CPMS = (CPM, *(f"{CPM}-{rule}" for rule in RULES))
 TELLING = (TEAM_SIGHT, LATE)
 """Helpers tell boxes, in which they can lie."""
 MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
 
-_NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE, CPM)
+_NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE, *CPMS)
 _FORMER = {"dsrc": TOGETHER}
 """Names of earlier versions, which logs and plans still have."""
 _IDEAL = PRESETS[IDEAL]
@@ -64,6 +67,7 @@ def open_perception(
             * `ego`: a detector on the ego's sweeps alone; `team`: one with helpers; `late`: each agent's detections,
               joined, by a detector whose fusion has no weights, such as the shipped ones; `cpm`: likewise, with the
               objects, resolution and sizes of ETSI's Collective Perception Messages;
+              `cpm-dynamics`, `cpm-distance`: senders leave out what others tell, see `dsrc.messages.cpm`;
             * FILE or NAME=FILE: the detector of a file, with helpers; `ego=FILE`, `late=FILE`, `cpm=FILE`: as these;
             * FILE.json or NAME=FILE.json: an error model, see `dsrc model fit`; `model`: that of `checkpoint`;
             * `module:Class` of one's own, made without arguments: a perception (`reset`, `perceive`), or a detector
@@ -132,13 +136,14 @@ def open_perception(
         if not file and name not in _NAMES:
             hint = did_you_mean(name, _NAMES)
             raise SettingsError(complaint("perception", "name", "a name, FILE, NAME=FILE or module:Class", name, hint))
-        detector, engine = _loaded(path, device, engine, late=name in (LATE, CPM))
+        detector, engine = _loaded(path, device, engine, late=name in (LATE, *CPMS))
     from dsrc.closed_loop.perception.cpm import CpmPerception
     from dsrc.closed_loop.perception.detector import DetectorPerception
 
     cooperative = name != ALONE
     spec = radio if cooperative else _IDEAL
-    return (CpmPerception if name == CPM else DetectorPerception)(
+    made: Any = partial(CpmPerception, rule=name[len(CPM) + 1 :]) if name in CPMS else DetectorPerception
+    opened: Perception = made(
         cast(SampleDetector, detector),
         cooperative=cooperative,
         condition=condition,
@@ -149,6 +154,7 @@ def open_perception(
         faults=faults,
         defence=defences,
     )
+    return opened
 
 
 class Words(NamedTuple):
@@ -175,7 +181,7 @@ def parse_perception(text: str) -> Words:
     is_path = is_path and kind_of(what) not in ("pipe", "tcp")
     if not is_path and (not name or ":" in what or what in (*_NAMES, *_FORMER)):
         return Words(name or what, _FORMER.get(what, what), "")
-    kind = MODELLED if what.endswith(".json") else name if name in (ALONE, LATE, CPM) else TOGETHER
+    kind = MODELLED if what.endswith(".json") else name if name in (ALONE, LATE, *CPMS) else TOGETHER
     return Words(name or Path(what).stem, kind, what)
 
 
