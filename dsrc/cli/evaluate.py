@@ -68,6 +68,7 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
         from dsrc.evaluation.report.ap_table import result_table
         from dsrc.evaluation.report.choice import choice_table
         from dsrc.evaluation.report.differences import stored_differences
+        from dsrc.evaluation.report.lies import lie_table
         from sim.files import check_apart
 
         check_apart(self.out, self.data)
@@ -75,6 +76,7 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
             rows = evaluate_drives(self, self.pool, report)
         differences = stored_differences(self.out / "results.json")
         shown = [differences.terminal()] if differences.differences else []
+        shown += [table] if (table := lie_table(rows)) else []
         Console(highlight=False).print(result_table(rows), *shown, choice_table(rows), *cause_tables(self.out))
         made(self.out, "results, plots and all detections", "view", self.out)
 

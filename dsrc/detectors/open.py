@@ -36,7 +36,7 @@ def open_detector(
         device: of the network of a detector file.
         engine: execution of the network of a detector file, see `dsrc.models.storage.deploy.ENGINES`.
         use: changed settings of a detector file, see `dsrc.evaluation.config.MethodSpec`; `height` of any detector, see
-            `dsrc.detectors.levelled`.
+            `dsrc.detectors.levelled`. With `messages` its agents detect alone.
 
     Raises:
         CheckpointError: a file is missing, damaged or a teacher's.
@@ -45,6 +45,7 @@ def open_detector(
         DataError: a process does not answer.
     """
     text, changes = str(text), dict(use or {})
+    changes.pop("defence", None)  # the ego's, not the detector's
     height = check_height(text, changes.pop("height", RECORDED))
     return levelled(_opened(text, device, engine, changes), height)
 
@@ -52,7 +53,9 @@ def open_detector(
 def _opened(text: str, device: Literal["cpu", "cuda"], engine: str, use: Use) -> SampleDetector:
     kind = kind_of(text)
     if kind == "file":
-        return _adjusted(load_student(Path(text), device, engine), text, use)
+        changes = dict(use)
+        fusion = "late" if changes.pop("messages", None) else ""
+        return _adjusted(load_student(Path(text), device, engine, fusion), text, changes)
     if use:
         raise SettingsError(complaint(text, "use", "none beside a detector of one's own", ", ".join(use)))
     if kind == "onnx":

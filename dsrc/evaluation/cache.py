@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dsrc.evaluation.detect import MethodResult
 from dsrc.evaluation.detection_table import read_table
 from dsrc.evaluation.metrics.ap import SPACES, THRESHOLDS, Matches
+from dsrc.messages.message import LIES
 from dsrc.runs.unit import key_of
 from sim.errors import DataError, complaint
 from sim.files import write_file
@@ -71,6 +72,7 @@ def write_cell(folder: Path, settings: CellSettings, result: MethodResult) -> No
         **result.table.arrays(),
         "matched": np.stack([result.matches.matched[key] for key in _KEYS]).astype(np.int32),
         "traffic": np.zeros((0, 4)) if result.traffic is None else result.traffic,
+        **({} if result.told is None else {"told": result.told}),
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
@@ -87,7 +89,7 @@ def read_cell(folder: Path, key: str) -> MethodResult:
     path = folder / f"{key}.npz"
     arrays = _arrays(path)
     table = read_table(path, arrays, _HINT)
-    matched, traffic = arrays.get("matched"), arrays.get("traffic")
+    matched, traffic, told = arrays.get("matched"), arrays.get("traffic"), arrays.get("told")
     shape = (len(_KEYS), len(table.score))
     if matched is None or matched.dtype.kind != "i" or matched.shape != shape:
         raise _wrong(path, "matched", f"shape {shape}", matched)
@@ -95,6 +97,8 @@ def read_cell(folder: Path, key: str) -> MethodResult:
         raise DataError(complaint(path, "matched", f"-1 or a row of {len(table.truth)} true boxes", "others", _HINT))
     if traffic is None or traffic.dtype != np.float64 or traffic.shape not in ((0, 4), (len(table), 4)):
         raise _wrong(path, "traffic", f"shape ({len(table)}, 4)", traffic)
+    if told is not None and (told.dtype != np.float64 or told.shape != (len(table), len(LIES))):
+        raise _wrong(path, "told", f"shape ({len(table)}, {len(LIES)})", told)
     by_threshold = dict(zip(_KEYS, matched.astype(np.int64), strict=True))
     times = path.with_suffix(".seconds")
     try:
@@ -102,7 +106,7 @@ def read_cell(folder: Path, key: str) -> MethodResult:
     except (OSError, ValueError):
         raise DataError(complaint(times, "times", "numbers", "a damaged file", _HINT)) from None
     matches = Matches(table.truths, table.found, table.score, by_threshold)
-    return MethodResult(table, matches, seconds, traffic if len(traffic) else None)
+    return MethodResult(table, matches, seconds, traffic if len(traffic) else None, told)
 
 
 def read_settings(folder: Path, key: str) -> CellSettings:

@@ -13,7 +13,9 @@ from dsrc.data.sample import SampleDetector
 from dsrc.detectors.open import detector_sha256, open_detector, process_of
 from dsrc.evaluation.cache import CellSettings, write_cell
 from dsrc.evaluation.detect import Method, evaluate_drive
+from dsrc.messages.defences import NO_DEFENCE, parse_defence
 from dsrc.models.device import one_thread
+from dsrc.options.detection import BOXES
 from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import Condition
 from sim.errors import DataError, complaint
@@ -45,7 +47,7 @@ class CellJob:
 
 def make_cells(unit: Unit[CellJob], progress: Progress) -> None:
     """Compute and write cells of the same frames under the same condition: each frame is corrupted once for all."""
-    methods = [Method(key, detector_of(job), job.agents, job.channel) for key, job in unit.jobs.items()]
+    methods = [_method(key, job) for key, job in unit.jobs.items()]
     first, frames = next(iter(unit.jobs.values())), 0
     positions = first.settings.positions
 
@@ -59,6 +61,12 @@ def make_cells(unit: Unit[CellJob], progress: Progress) -> None:
         results = evaluate_drive(drive_of(first.drive), positions, work, first.settings.seed, count_frame)
     for key, job in unit.jobs.items():
         write_cell(unit.folder, job.settings, results[first.condition, key])
+
+
+def _method(key: str, job: CellJob) -> Method:
+    use = job.settings.use
+    defence = parse_defence(str(use.get("defence", NO_DEFENCE)), "evaluate")
+    return Method(key, detector_of(job), job.agents, job.channel, str(use.get("messages", BOXES)), defence)
 
 
 def detector_of(job: CellJob) -> SampleDetector:

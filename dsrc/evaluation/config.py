@@ -51,8 +51,9 @@ from msgspec.structs import replace
 from dsrc.detectors.levelled import check_height
 from dsrc.detectors.texts import NO_COMMAND, is_there, kind_of, named, split_name
 from dsrc.faults.condition import faults_of, frame_condition, settled
+from dsrc.messages.defences import Defence, parse_defence
 from dsrc.models.settings import ModelSettings
-from dsrc.options.detection import BenchmarkOptions, Comparison
+from dsrc.options.detection import MESSAGES, SINGLE_DEFENCES, BenchmarkOptions, Comparison
 from dsrc.options.fields import RENAMED
 from sensors.corruptions import Condition, conditions_of
 from sim.errors import SettingsError, complaint, did_you_mean, option
@@ -75,8 +76,9 @@ class MethodSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     Attributes:
         name: in tables.
         detectors: detectors, one for each training of the method; see `dsrc.detectors.open`.
-        use: changed model settings, of `IN_USE`, and `height`, see `dsrc.detectors.levelled`: the same detectors that
-            send less, or that correct poses, are another method. With `judged_by = "opencood"` the `ap_opencood` of a
+        use: changed model settings, of `IN_USE`, `height`, see `dsrc.detectors.levelled`, `messages` of agents that
+            detect alone, and their ego's `defence`, see `dsrc.evaluation.listener`: the same detectors that send less,
+            or that correct poses, are another method. With `judged_by = "opencood"` the `ap_opencood` of a
             method is OpenCOOD's number, see `dsrc.data.sample.JudgedBy`.
         start: weights that its trainings began with, for a column of Table 1; "" for unknown.
         agents: most agents that take part, the ego included; None for the detectors' own number.
@@ -307,9 +309,17 @@ def check(plan: Benchmark, where: str) -> None:
             if field == "height":
                 check_height(f"{where}: {place}", value)
                 continue
+            if field == "messages":
+                if value not in MESSAGES:
+                    hint = did_you_mean(str(value), MESSAGES)
+                    raise SettingsError(complaint(where, f"{place}.messages", " or ".join(MESSAGES), value, hint))
+                continue
+            if field == "defence":
+                single_defence(str(value), f"{where}: {place}")
+                continue
             if field not in IN_USE:
                 expected = "a setting that needs no training"
-                known = (*IN_USE, "height")
+                known = (*IN_USE, "height", "messages", "defence")
                 raise SettingsError(complaint(where, place, expected, field, did_you_mean(field, known)))
             hint = get_type_hints(ModelSettings, include_extras=True)[field]
             convert(value, hint, where, SettingsError, field=f"{place}.{field}")
@@ -322,6 +332,20 @@ def check(plan: Benchmark, where: str) -> None:
             get_channel(channel)
     except SettingsError as error:
         raise SettingsError(f"{where}: {error}") from None
+
+
+def single_defence(text: str, where: str) -> Defence:
+    """Return the defences of a text that need no message but those of one instant, see `parse_defence`.
+
+    Raises:
+        SettingsError: as `parse_defence`, or another one.
+    """
+    names = parse_defence(text, where)
+    for name in names:
+        if name not in SINGLE_DEFENCES:
+            expected = f"{' or '.join(SINGLE_DEFENCES)}: frames are judged one by one"
+            raise SettingsError(complaint(where, "defence", expected, f"{name}; it has a meaning in dsrc drive"))
+    return names
 
 
 def check_numbers(where: str, seed: int, frames: int | None) -> None:

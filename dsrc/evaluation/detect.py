@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 from dsrc.data.drives import Drive, labelled_frames
 from dsrc.data.sample import Sample, SampleDetector, SampleRequest, counted, first_agents, make_sample
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
+from dsrc.evaluation.listener import Listener, fabricated, lies
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
 from dsrc.faults.condition import faults_of, radio_faults
+from dsrc.messages.defences import Defence
+from dsrc.messages.message import lie_counts, tells_boxes
 from dsrc.models.channel import Receiver
+from dsrc.options.detection import BOXES
 from sensors.corruptions import Condition, drive_seed, ego_of
 from sensors.frame import Frame
 from sim.errors import DataError, complaint
@@ -35,12 +39,16 @@ class Method:
         agents: most agents whose clouds it gets, the ego's first; None for the number of its settings. The ground truth
             is the same for any number.
         channel: of the messages; without one they arrive at once and are not counted.
+        messages: what helpers tell where each detects alone, of `dsrc.options.detection.MESSAGES`.
+        defence: of the ego, against helpers that lie.
     """
 
     name: str
     detector: SampleDetector
     agents: int | None = None
     channel: ChannelSpec | None = None
+    messages: str = BOXES
+    defence: Defence = ()
 
     @property
     def receives(self) -> bool:
@@ -57,12 +65,15 @@ class MethodResult:
         matches: of these.
         seconds: (F,) time of each detection.
         traffic: (F, 4) bytes, senders, senders received and ages of messages, see `make_row`; None without a channel.
+        told: (F, 5) what became of the helpers' boxes, `dsrc.messages.message.LIES`; None where nobody lies in boxes or
+            defends.
     """
 
     table: DetectionTable
     matches: Matches
     seconds: NDArray[np.float64]
     traffic: NDArray[np.float64] | None
+    told: NDArray[np.float64] | None = None
 
 
 def evaluate_drive(
@@ -90,6 +101,7 @@ def evaluate_drive(
     read = lru_cache(maxsize=3)(reader.read)
     records = {(condition, method.name): _Record() for condition, methods in work.items() for method in methods}
     receivers: dict[tuple[Condition, str], Receiver] = {}
+    listeners: dict[tuple[Condition, str], Listener] = {}
     ego_id = ego_of(read(positions[0]))
     for condition, methods in work.items():
         for method in methods:
@@ -98,23 +110,43 @@ def evaluate_drive(
                 spec, step_s = method.channel, interval_of(reader)
                 faulted = radio_faults(faults_of(condition), spec, step_s, ego_id)
                 receivers[condition, method.name] = Receiver(spec, own_seed, step_s, settings, faulted=faulted)
+            needed = method.messages != BOXES or method.defence or lies(condition)
+            if needed and method.agents != 1 and tells_boxes(method.detector):
+                key, means = (condition, method.name), (method.messages, condition, method.defence, own_seed)
+                listeners[key] = Listener(method.detector, *means, receivers.get(key))
     for i in positions:
         recorded = FrameHistory(read, i)
         for condition, methods in work.items():
             past = FrameHistory(recorded.at, i, partial(corrupted, condition=condition, seed=own_seed))
-            samples: dict[_SampleKey, Sample] = {}
-            frames = past[0], recorded[0]
+            # Who shares no boxes lies in what it measured.
+            shared = past
+            if lies(condition):
+                shared = FrameHistory(past.at, i, partial(fabricated, condition=condition, seed=own_seed))
+            made: dict[bool, dict[_SampleKey, Sample]] = {False: {}, True: {}}
             left = points_left(recorded[0], past[0])
             for method in methods:
-                sample, record = _sample(frames, method, samples, name), records[condition, method.name]
+                key = condition, method.name
+                record, listener = records[key], listeners.get(key)
+                heard = past if listener else shared
+                frames, samples = (heard[0], recorded[0]), made[heard is past]
+                sample = _sample(frames, method, samples, name)
                 whole = _sample(frames, replace(method, agents=None), samples, name)
-                if (condition, method.name) in receivers:
+                links: tuple[Link, ...] = ()
+                start = time.perf_counter()
+                if listener is not None:
+                    listener.measure(past, recorded, sample)
+                saying_s = time.perf_counter() - start
+                if key in receivers:
                     grid = method.detector.settings.request.grid
-                    sample, links = receivers[condition, method.name].receive(past, i, sample, grid)
+                    sample, links = receivers[key].receive(heard, i, sample, grid)
                     record.traffic.append(_traffic(links))
                 start = time.perf_counter()
-                found = method.detector.detect(sample)
-                record.seconds.append(time.perf_counter() - start)
+                if listener is None:
+                    found = method.detector.detect(sample)
+                else:
+                    found, told = listener.detect(sample, links, i)
+                    record.told.append(lie_counts(told))
+                record.seconds.append(saying_s + time.perf_counter() - start)
                 judged = found[counted(found.boxes, method.detector.settings.request.judged_m, whole.region)]
                 points = points_table(recorded[0], left, whole.agent_ids, sample.boxes.object_id)
                 share = _ego_share(recorded[0], sample)
@@ -131,6 +163,7 @@ class _Record:
     frames: list[DetectionTable] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     traffic: list[tuple[float, float, float, float]] = field(default_factory=list)
+    told: list[tuple[int, ...]] = field(default_factory=list)
 
     def result(self) -> MethodResult:
         table = join_tables(self.frames)
@@ -139,17 +172,20 @@ class _Record:
             match_frames(table.results()),
             np.array(self.seconds, np.float64),
             np.array(self.traffic, np.float64) if self.traffic else None,
+            np.array(self.told, np.float64) if self.told else None,
         )
 
 
 def join_results(parts: Sequence[MethodResult]) -> MethodResult:
     """Result of a method in the frames of all parts, at least one."""
     traffic = [part.traffic for part in parts if part.traffic is not None]
+    told = [part.told for part in parts if part.told is not None]
     return MethodResult(
         join_tables([part.table for part in parts]),
         join_matches([part.matches for part in parts]),
         np.concatenate([part.seconds for part in parts]),
         np.concatenate(traffic) if traffic else None,
+        np.concatenate(told) if told else None,
     )
 
 

@@ -4,6 +4,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from msgspec.structs import replace as replace_fields
+
 from dsrc.data.drives import open_drives
 from dsrc.detectors.levelled import height_in_use
 from dsrc.detectors.texts import named
@@ -20,6 +22,7 @@ from dsrc.evaluation.results import CLEAN, Row, summary_rows
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, fitting_kinds, run_plan
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Evaluation
+from dsrc.options.driving import NO_DEFENCE
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import write_figure
@@ -95,6 +98,17 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
         use["drop_lone_points"] = True
     methods = [MethodSpec(name=name, detectors=(path,), use=use) for name, path in files.items()]
     first, *others = files
+    messages = [
+        MethodSpec(name=f"{first}, {kind}", detectors=(files[first],), use={**use, "messages": kind})
+        for kind in config.messages
+    ]
+    defended = [
+        replace_fields(one, name=f"{one.name}, {text}", use={**one.use, "defence": text})
+        for one in messages or methods
+        for text in config.defence
+        if text != NO_DEFENCE
+    ]
+    methods += [*messages, *defended]
     drives = open_drives(config.data)
     if config.ego_alone and any(len(drive.agents) > 1 for drive in drives):
         methods.append(MethodSpec(name=f"{first}, {EGO_ALONE}", detectors=(files[first],), use=use, agents=1))

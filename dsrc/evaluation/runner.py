@@ -22,9 +22,10 @@ from dsrc.evaluation.cells import CellJob, make_cells
 from dsrc.evaluation.config import Benchmark, Case, MethodSpec, cases_of, plan_conditions
 from dsrc.evaluation.detect import MethodResult, frame_positions, join_results, warn_of_slow_drives
 from dsrc.evaluation.metrics.ap import evaluate_matches, metric_name
-from dsrc.evaluation.metrics.calibration import IOU, choice_metrics
+from dsrc.evaluation.metrics.calibration import IOU, choice_metrics, sure_errors
 from dsrc.evaluation.metrics.intervals import RankedDetections
 from dsrc.evaluation.results import Row, make_row
+from dsrc.messages.message import LIES, tells_boxes
 from dsrc.models.fusion import FUSIONS
 from dsrc.models.settings import fusion_of
 from dsrc.models.storage.checkpoint import read_meta
@@ -259,6 +260,10 @@ def check_device(what: str, device: Device) -> None:
 
 def _trained(text: str, method: MethodSpec, engine: str) -> TrainedDetector:
     detector = open_detector(text, engine=engine, use=method.use)
+    for name in {"defence", "messages"} & method.use.keys():
+        if not tells_boxes(detector):
+            expected = "a detector whose agents tell boxes, as with messages of boxes and recorded heights"
+            raise SettingsError(complaint(text, name, expected, method.use[name]))
     sha256, settings = detector_sha256(text, detector), detector.settings
     close_detector(detector)
     meta = read_meta(Path(text)) if kind_of(text) == "file" else {}
@@ -355,7 +360,9 @@ def _case_result(case: Case, folder: Path, cells: Sequence[CellJob], keep_detect
     # The ego alone was sent nothing.
     sent = 0.0 if row.bytes_per_frame is None else row.bytes_per_frame
     choice = choice_metrics(whole.curves[IOU], result.matches, result.table.points)
-    metrics = {**row.metrics, **by_visibility(result), **choice}
+    metrics = {**row.metrics, **by_visibility(result), **choice, **sure_errors(result.matches)}
+    if result.told is not None:
+        metrics |= dict(zip(LIES, result.told.sum(axis=0).tolist(), strict=True))
     row = replace(row, metrics=metrics, bytes_per_frame=sent, result=None)
     ranked = RankedDetections.of(result.matches) if keep_detections else None
     return CaseResult(case, row, tuple(keys), tuple(job.drive for job in cells), ranked)

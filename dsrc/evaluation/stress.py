@@ -21,6 +21,7 @@ from dsrc.detectors.texts import named
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check
 from dsrc.evaluation.detect import MethodResult, join_results
+from dsrc.evaluation.metrics.calibration import SURE, sure_counts, sure_errors
 from dsrc.evaluation.metrics.intervals import (
     Interval,
     RankedDetections,
@@ -33,6 +34,7 @@ from dsrc.evaluation.results import CLEAN, condition_title
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, fitting_kinds, run_plan
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Stressing
+from dsrc.options.driving import NO_DEFENCE
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import WIDTH_IN, figure_style, panels, styles_of, write_figure
@@ -45,8 +47,6 @@ from sim.files import write_file
 
 IOU = 0.5
 """Bird's-eye overlap at which a detection is right."""
-SURE = 0.3
-"""Score from which on a wrong detection counts as a false box."""
 QUICK_FRAMES, QUICK_SEVERITIES = 12, (1, 3, 5)
 WORST = 10
 _RESAMPLES = 400
@@ -172,6 +172,10 @@ def _plans(config: Stressing) -> list[Benchmark]:
         raise SettingsError(complaint("stress", "share", "more than 0, less than 1", config.share))
     (name, text), *_ = named([str(config.detector)])
     use = height_in_use("stress", config.height)
+    if config.messages is not None:
+        use["messages"] = config.messages
+    if config.defence != NO_DEFENCE:
+        use["defence"] = config.defence
     groups = config.corrupted_agents
     drives = open_drives(config.data)
     if all(len(drive.agents) == 1 for drive in drives):
@@ -222,11 +226,7 @@ class _Judged:
 
     def counts(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return (F,) true boxes that are found for sure, and false boxes."""
-        matches = self.whole.matches
-        frame = np.repeat(np.arange(matches.frames), matches.detection_counts)
-        right, sure = matches.matched["bev", IOU] >= 0, matches.score >= SURE
-        found, false = (np.bincount(frame[sure & one], minlength=matches.frames) for one in (right, ~right))
-        return found, false
+        return sure_counts(self.whole.matches)
 
 
 def _row(one: _Judged, weights: NDArray[np.float32]) -> StressRow:
@@ -242,7 +242,7 @@ def _row(one: _Judged, weights: NDArray[np.float32]) -> StressRow:
         ap=entry.row.metrics["ap_bev_50"],
         low=interval.low,
         high=interval.high,
-        false_per_frame=float((~right & (matches.score >= SURE)).sum()) / max(matches.frames, 1),
+        false_per_frame=sure_errors(matches)["false_per_frame"],
         calibration_error=_calibration_error(matches.score, right),
         cells=entry.cells,
     )

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 import msgspec
 
 from dsrc.faults.fault import Faults, faults_text, parse_faults
-from dsrc.faults.kinds import Drift, Freeze, Gain, Severity
+from dsrc.faults.kinds import Severity
 from dsrc.faults.sweeps import SensorFaults
 from sensors.corruptions import CLEAN, CORRUPTIONS, Changes, Condition, CorruptedAgents, Family, ego_of
 from sensors.frame import Frame
@@ -136,14 +136,14 @@ def frame_condition(text: str, where: str) -> Faulted:
         if not fault.always:
             expected = "none of from, to and for: frames are judged one by one"
             raise SettingsError(complaint(where, field, expected, "a time; it has a meaning in dsrc drive"))
-        if fault.what.place not in ("sensor", "localisation", "radio") or isinstance(fault.settings, _IN_TIME):
-            expected = "a fault of sensors, poses or radio in single frames"
+        if fault.kind in _IN_TIME or fault.what.place in ("computing", "actuation"):
+            expected = "a fault of sensors, poses, radio or told objects in single frames"
             raise SettingsError(complaint(where, field, expected, f"{fault.kind}; it has a meaning in dsrc drive"))
     return Faulted(faults_text(faults), faults=faults)
 
 
-_IN_TIME = (Freeze, Drift, Gain)
-"""Numbers of faults of sensors and poses that act on what happens between frames."""
+_IN_TIME = ("freeze", "localisation_drift", "speed_reading", "replay")
+"""Kinds of faults of sensors, poses and messages that act on what happens between frames."""
 
 
 def condition_of(

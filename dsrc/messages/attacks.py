@@ -1,4 +1,4 @@
-"""Attacks: helpers that lie in their messages, in boxes and poses.
+"""Attacks: helpers that lie in their messages, in boxes and poses, or in the points that they share.
 
 A liar knows where the ego is and its route, as the ego's own messages tell them. Liars of one attack are of one mind:
 their ghost stands at one place. They lie about objects and poses, not about the space that they see; that of a false
@@ -6,23 +6,32 @@ pose is as misplaced as its objects, that of a replay as old.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.faults.fault import Fault, Faults
 from dsrc.faults.kinds import Bias, Ghost, Remove, Seconds
 from dsrc.faults.localisation import believed_from_true, pose_error
 from dsrc.messages.message import Message, Objects
 from dsrc.messages.seen_space import View
+from sensors.frame import AgentFrame
+from sensors.sweep import ADDED, SCATTERED, Sweep
 from sim.boxes import Boxes
+from sim.geometry import invert, pose_matrix
 from sim.rows import stacked
 from sim.streams import Stream, random_generator
 from sim.traffic.base import POSITION_M, from_steps
 
 _CAR_M = (4.5, 1.9, 1.5)
 """Length, width and height of a ghost, m."""
+_CABIN = (0.55, 0.85, 0.45)
+"""Length and width of a ghost's cabin and height of what is below it, as shares of the ghost's."""
+_SKIN_M = 0.15
+"""Distance from a box within which points are of its road user, m."""
 _MOVED_M = 0.5
 """Distance from every honest object beyond which a told one is false, m."""
 _SLACK_S = 1e-6
@@ -77,17 +86,57 @@ class Attacks:
             past.popleft()
         sent = message
         for number, fault in enumerate(self._faults):
-            if fault.at(time_s) and fault.on(message.sender, self._ego_id) and self._drawn(fault, message, time_s):
+            if self._lies(fault, message.sender, time_s):
                 sent = self._changed(number, fault, sent, time_s)
         if sent is message:
             return message
         moved = ~_within(sent.objects.boxes, message.objects.boxes, _MOVED_M)
         return replace(sent, attacked=True, false=moved)
 
-    def _drawn(self, fault: Fault, message: Message, time_s: float) -> bool:
+    def measured(self, agent: AgentFrame, truth: Boxes, time_s: float) -> Sweep:
+        """Return the sweep that a helper shares in place of its own: its points lie as its boxes would.
+
+        A ghost is what the helper's own rays would meet, removed road users have no returns, and a false pose is where
+        the sweep is said to be measured. Features are what the helper's network makes of these points.
+
+        Args:
+            truth: road users, world frame; a liar knows those that it removes.
+            time_s: of the episode.
+
+        Raises:
+            TypeError: an attack that needs messages before this one.
+        """
+        sweep = agent.sweep
+        for number, fault in enumerate(self._faults):
+            if not self._lies(fault, agent.agent_id, time_s):
+                continue
+            settings = fault.settings
+            if isinstance(settings, Ghost):
+                lidar_from_world = invert(sweep.world_from_lidar)
+                sweep = _haunted(sweep, [one.transform(lidar_from_world) for one in self._ghost(number)])
+            elif isinstance(settings, Remove):
+                gone = truth[(_aside(truth, self._route) <= settings.aside_m) & (truth.object_id != agent.agent_id)]
+                rows, _ = points_in_boxes(gone, sweep.points, sweep.world_from_lidar, _SKIN_M)
+                kept = np.ones(len(sweep), bool)
+                kept[rows] = False
+                sweep = sweep[kept]
+            elif isinstance(settings, Bias):
+                error = pose_error((fault,), self._seed, agent.agent_id, self._ego_id, time_s)
+                moved = believed_from_true(agent.world_from_body, error)
+                sweep = replace(sweep, world_from_lidar=moved @ sweep.world_from_lidar)
+            else:
+                raise TypeError(fault.kind)
+        return sweep
+
+    def _ghost(self, number: int) -> list[Boxes]:
+        return [self._ghosts[number]] if number in self._ghosts else []
+
+    def _lies(self, fault: Fault, sender: int, time_s: float) -> bool:
+        if not (fault.at(time_s) and fault.on(sender, self._ego_id)):
+            return False
         if not isinstance(fault.settings, Ghost | Remove):
             return True
-        rng = random_generator(self._seed, Stream.FAULT, fault.kind, 1 + round(1e3 * time_s), message.sender)
+        rng = random_generator(self._seed, Stream.FAULT, fault.kind, 1 + round(1e3 * time_s), sender)
         return float(rng.random()) < fault.settings.share
 
     def _changed(self, number: int, fault: Fault, message: Message, time_s: float) -> Message:
@@ -137,6 +186,42 @@ def _passed(ego: Boxes, ghost: Boxes) -> bool:
     """Whether a ghost is behind the ego."""
     heading = [np.cos(ego.yaw[0]), np.sin(ego.yaw[0])]
     return bool((ghost.center[0, :2] - ego.center[0, :2]) @ heading < 0.0)
+
+
+def _haunted(sweep: Sweep, ghosts: Sequence[Boxes]) -> Sweep:
+    """Return a sweep in which the rays that meet a ghost before anything else end on it.
+
+    Args:
+        ghosts: one box each, sensor frame; a ghost has a body, and on it a cabin.
+    """
+    ray = sweep.points.astype(np.float64)
+    share = np.ones(len(ray))
+    for ghost in ghosts:
+        (length, width, height), (long, wide, low) = ghost.size[0], _CABIN
+        for size, middle in (
+            ((length, width, low * height), 0.5 * (low - 1.0) * height),
+            ((long * length, wide * width, (1.0 - low) * height), 0.5 * low * height),
+        ):
+            part = Boxes.from_array([*(ghost.center[0] + [0.0, 0.0, middle]), *size, ghost.yaw[0]])
+            share = np.minimum(share, _met(part, ray))
+    made = share < 1.0
+    return replace(
+        sweep,
+        points=np.where(made[:, None], share[:, None] * ray, ray).astype(np.float32),
+        object_id=np.where(made, ADDED, sweep.object_id),
+        fate=np.where(made, SCATTERED, sweep.fate),
+    )
+
+
+def _met(box: Boxes, ray: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (P,) the share of each ray, from the origin to (P, 3) ends, after which it enters a box; else infinity."""
+    local_from_ray = invert(pose_matrix(box.center[0], box.yaw[0]))
+    start, step = local_from_ray[:3, 3], ray @ local_from_ray[:3, :3].T
+    half = 0.5 * box.size[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.sort(np.stack([(-half - start) / step, (half - start) / step]), axis=0)
+    enters, leaves = ends[0].max(axis=1), ends[1].min(axis=1)
+    return np.where((enters > 0.0) & (enters <= leaves), enters, np.inf)
 
 
 def _aside(boxes: Boxes, route: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -86,6 +86,23 @@ class Told:
     attacked: bool
 
 
+LIES = ("false_told", "false_refused", "true_refused", "helpers_honest", "helpers_wronged")
+"""Names of the numbers of `lie_counts`."""
+
+
+def lie_counts(told: Sequence[Told]) -> tuple[int, ...]:
+    """Return what became of messages: `LIES`.
+
+    They are objects that an attack put where none is, those of them that were refused, other objects that were refused,
+    helpers whose messages no attack changed, and those of them of whom something was refused.
+    """
+    liars = {one.sender for one in told if one.attacked}
+    honest = {one.sender for one in told} - liars
+    wronged = {one.sender for one in told if one.refused} & honest
+    false, caught = sum(one.false for one in told), sum(one.false_refused for one in told)
+    return false, caught, sum(one.refused for one in told) - caught, len(honest), len(wronged)
+
+
 def near_pairs(boxes: Boxes, others: Boxes, least_m: float = SAME_M) -> NDArray[np.bool_]:
     """Return (N, M) whether two boxes have centres within `least_m`, or half the length of the longer one."""
     distance = np.linalg.norm(boxes.center[:, None, :2] - others.center[None, :, :2], axis=2)

@@ -31,6 +31,13 @@ AutoEngine = Literal["auto", "fused", "bf16", "compiled", "plain"]
 Device = Literal["cpu", "cuda"]
 Height = Annotated[str, arg(metavar="{recorded,auto,METRES}")]
 """Ground under the clouds, see `dsrc.detectors.levelled`."""
+BOXES, CPM = "boxes", "cpm"
+MESSAGES = (BOXES, CPM, "cpm-dynamics", "cpm-distance")
+"""What helpers tell that detect alone: all boxes that they find, or ETSI's messages, see `dsrc.messages.cpm`."""
+Messages = Annotated[tuple[str, ...], choice(MESSAGES, several=True)]
+SINGLE_DEFENCES = ("agreement", "free-space")
+"""Defences that need no message but those of one instant."""
+DefenceTexts = Annotated[tuple[str, ...], choice(("none", *SINGLE_DEFENCES), several=True)]
 Channels = Annotated[tuple[str, ...], choice(CHANNELS, several=True)]
 PROTOCOLS = (
     "opencood",
@@ -69,6 +76,10 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
         seed: seed of corruptions and channels.
         frames: frames to evaluate, evenly spread; default: all.
         ego_alone: also evaluate the first detector without collaborators.
+        messages: also evaluate the first detector with helpers that each detect alone and tell all their boxes, or as
+            ETSI's Collective Perception Messages, less what others tell; default: none.
+        defence: also evaluate what tells boxes with a defence against helpers that lie, faults ghost, remove and
+            false_pose: one of these, or both between commas; default: none.
         channel: radio channels, each detector through each of them; default: no loss, no delay and no byte counts.
         height: ground under the clouds, see dsrc detect.
         drop_lone_points: each agent drops points with few neighbours, as flakes in the air are.
@@ -87,6 +98,8 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
     seed: int = 0
     frames: int | None = None
     ego_alone: bool = True
+    messages: Messages = ()
+    defence: DefenceTexts = ()
     channel: Channels = ()
     height: Height = "recorded"
     drop_lone_points: bool = False
@@ -140,6 +153,8 @@ class Stressing(msgspec.Struct, frozen=True, kw_only=True):
         family: models of the corruptions.
         fault: faults, each text a condition of its own: a corruption with its severity, or what else is wrong with
             sensors, poses and radio, with its numbers and agents, as in 'fog:3 on helpers + loss:0.3'; default: none.
+        messages: helpers detect alone and tell boxes, see dsrc evaluate; default: what the detector shares.
+        defence: of a detector that tells boxes, see dsrc evaluate.
         share: share of the clean average precision below which a severity is critical.
         quick: 12 frames and severities 1, 3 and 5.
         frames: frames to evaluate, evenly spread; default: all.
@@ -157,6 +172,8 @@ class Stressing(msgspec.Struct, frozen=True, kw_only=True):
     corrupted_agents: Annotated[tuple[str, ...], Meta(min_length=1)] = ("all", "ego", "helpers")
     family: Family = "physical"
     fault: FaultTexts = ()
+    messages: Annotated[str | None, choice(MESSAGES)] = None
+    defence: Annotated[str, choice(("none", *SINGLE_DEFENCES))] = "none"
     share: float = 0.5
     quick: bool = False
     frames: int | None = None

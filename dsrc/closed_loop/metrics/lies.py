@@ -7,7 +7,7 @@ import numpy as np
 
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.types import Tick
-from dsrc.messages.message import near_any
+from dsrc.messages.message import LIES, lie_counts, near_any
 
 _STILL_MPS, _DRIVES_MPS = 0.1, 0.5
 """Speed below which the ego stands, and from which on it drives again, m/s."""
@@ -36,15 +36,10 @@ class LieMetrics(msgspec.Struct, frozen=True, kw_only=True):
 def lie_metrics(log: EpisodeLog) -> LieMetrics:
     """Return the metrics of an episode, from its log alone."""
     told = [one for tick in log.ticks if tick.percept is not None for one in tick.percept.told]
-    liars = {one.sender for one in told if one.attacked}
-    honest = {one.sender for one in told} - liars
-    wronged = {one.sender for one in told if one.refused} & honest
-    false, caught = sum(one.false for one in told), sum(one.false_refused for one in told)
-    counts = (false, caught, sum(one.refused for one in told) - caught, len(honest), len(wronged))
-    names = LieMetrics.__struct_fields__[1:]
+    counts = zip(LIES, lie_counts(told), strict=True)
     return LieMetrics(
         needless_stops=float(_needless_stops(log)),
-        **{name: float(count) if told else math.nan for name, count in zip(names, counts, strict=True)},
+        **{name: float(count) if told else math.nan for name, count in counts},
     )
 
 

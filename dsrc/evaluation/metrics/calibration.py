@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from dsrc.evaluation.metrics.ap import Curve, Matches, Space
 
 BINS = 10
+SURE = 0.3
+"""Score from which on a detection is a sure one."""
 IOU: tuple[Space, float] = ("bev", 0.5)
 """Overlap from which a detection counts here."""
 
@@ -55,6 +57,21 @@ class Reliability:
         if not self.count.any():
             return math.nan
         return float(np.nansum(self.count * np.abs(self.score - self.precision)) / self.count.sum())
+
+
+def sure_counts(matches: Matches) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return (F,) true boxes that are found for sure, and detections that are as sure and wrong."""
+    frame = np.repeat(np.arange(matches.frames), matches.detection_counts)
+    right, sure = matches.matched[IOU] >= 0, matches.score >= SURE
+    found, false = (np.bincount(frame[sure & one], minlength=matches.frames) for one in (right, ~right))
+    return found, false
+
+
+def sure_errors(matches: Matches) -> dict[str, float]:
+    """Return the share of the true boxes that are not found for sure, and the false boxes of a frame."""
+    found, false = sure_counts(matches)
+    missed = 1.0 - float(found.sum()) / matches.truth if matches.truth else math.nan
+    return {"missed_share": missed, "false_per_frame": float(false.sum()) / max(matches.frames, 1)}
 
 
 def best_f1(curve: Curve) -> OperatingPoint:

@@ -16,6 +16,7 @@ from dsrc.evaluation.metrics.robustness import mce, mean_ap
 from dsrc.evaluation.report.choice import choice_sheet
 from dsrc.evaluation.report.dataset_results import NAMES, DatasetResults
 from dsrc.evaluation.report.differences import DifferenceTable, difference_table
+from dsrc.evaluation.report.lies import lie_table
 from dsrc.evaluation.report.tables import axes_of, severity_table, sweep_table, table_1, visibility_table
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_AP, Row
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector
@@ -216,6 +217,9 @@ def _dataset(
             title = f"mCE against mean AP, {results.titled}"
             writer.figure(f"figure_5{suffix}", robustness_scatter(mean_rows(results, trained), styles, title), title)
     writer.table(choice_sheet(first))
+    told = [row for name in first.trained for kind in (CLEAN, *first.kinds()) for row in first.rows(name, kind)[:1]]
+    if (sheet_of_lies := lie_table(told, f"Attacks and defences, {dataset}")) is not None:
+        writer.table(sheet_of_lies)
     if (sheet_of_sight := visibility_table(first)) is not None:
         writer.table(sheet_of_sight, table_heatmap(sheet_of_sight))
     for axis in axes_of(result):

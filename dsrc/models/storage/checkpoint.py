@@ -84,17 +84,18 @@ def _detector(path: Path, content: Mapping[str, object]) -> Detector:
     return filled(path, settings, {name: (name, tensor) for name, tensor in state.items()})
 
 
-def load_student(path: Path, device: str = "cpu", engine: str = "fused") -> Detector:
+def load_student(path: Path, device: str = "cpu", engine: str = "fused", fusion: str = "") -> Detector:
     """Read a student for inference, optimised by `dsrc.models.storage.deploy`.
 
     Args:
         engine: key of `ENGINES`, or `auto`, see `engine_for`.
+        fusion: fusion method in place of its own, see `with_fusion`; "" for its own.
 
     Raises:
         CheckpointError: as `load_detector`, or the file holds a teacher.
         SettingsError: the engine is unknown, or missing on this machine.
     """
-    return _student(path, _content(Path(path)), device, engine)
+    return _student(path, _content(Path(path)), device, engine, fusion)
 
 
 def load_joined(path: Path, device: str = "cpu", engine: str = "fused", fusion: str = "") -> Detector | JoinedDetectors:
