@@ -15,7 +15,6 @@ from dsrc.evaluation.cache import CellSettings, write_cell
 from dsrc.evaluation.detect import Method, evaluate_drive
 from dsrc.messages.defences import NO_DEFENCE, parse_defence
 from dsrc.models.device import one_thread
-from dsrc.options.detection import BOXES
 from dsrc.runs.unit import Progress, Unit
 from sensors.corruptions import Condition
 from sim.errors import DataError, complaint
@@ -66,7 +65,7 @@ def make_cells(unit: Unit[CellJob], progress: Progress) -> None:
 def _method(key: str, job: CellJob) -> Method:
     use = job.settings.use
     defence = parse_defence(str(use.get("defence", NO_DEFENCE)), "evaluate")
-    return Method(key, detector_of(job), job.agents, job.channel, str(use.get("messages", BOXES)), defence)
+    return Method(key, detector_of(job), job.agents, job.channel, str(use.get("messages", "")), defence)
 
 
 def detector_of(job: CellJob) -> SampleDetector:

@@ -19,7 +19,6 @@ from dsrc.faults.condition import faults_of, radio_faults
 from dsrc.messages.defences import Defence
 from dsrc.messages.message import lie_counts, tells_boxes
 from dsrc.models.channel import Receiver
-from dsrc.options.detection import BOXES
 from sensors.corruptions import Condition, drive_seed, ego_of
 from sensors.frame import Frame
 from sim.errors import DataError, complaint
@@ -39,7 +38,7 @@ class Method:
         agents: most agents whose clouds it gets, the ego's first; None for the number of its settings. The ground truth
             is the same for any number.
         channel: of the messages; without one they arrive at once and are not counted.
-        messages: what helpers tell where each detects alone, of `dsrc.options.detection.MESSAGES`.
+        messages: what helpers tell, see `dsrc.evaluation.listener.Listener`.
         defence: of the ego, against helpers that lie.
     """
 
@@ -47,7 +46,7 @@ class Method:
     detector: SampleDetector
     agents: int | None = None
     channel: ChannelSpec | None = None
-    messages: str = BOXES
+    messages: str = ""
     defence: Defence = ()
 
     @property
@@ -110,7 +109,7 @@ def evaluate_drive(
                 spec, step_s = method.channel, interval_of(reader)
                 faulted = radio_faults(faults_of(condition), spec, step_s, ego_id)
                 receivers[condition, method.name] = Receiver(spec, own_seed, step_s, settings, faulted=faulted)
-            needed = method.messages != BOXES or method.defence or lies(condition)
+            needed = method.messages or method.defence or lies(condition)
             if needed and method.agents != 1 and tells_boxes(method.detector):
                 key, means = (condition, method.name), (method.messages, condition, method.defence, own_seed)
                 listeners[key] = Listener(method.detector, *means, receivers.get(key))

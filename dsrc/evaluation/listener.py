@@ -20,7 +20,7 @@ from dsrc.messages.message import Message, Objects, Told, as_detections, as_obje
 from dsrc.messages.seen_space import View
 from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
-from dsrc.options.detection import CPM
+from dsrc.options.detection import BOXES, CPM
 from sensors.corruptions import Condition, ego_of
 from sensors.frame import Frame
 from sim.boxes import Boxes
@@ -60,7 +60,8 @@ class Listener:
 
     Args:
         detector: each of its agents detects alone, see `dsrc.messages.message.tells_boxes`.
-        messages: of `dsrc.options.detection.MESSAGES`.
+        messages: of `dsrc.options.detection.MESSAGES`; "" for the boxes that the detector finds in the clouds that
+            arrived, whose bytes are those of a detector with late fusion.
         condition: its attacks act.
         seed: of the drive.
         receiver: of the messages; None where they arrive at once.
@@ -76,16 +77,17 @@ class Listener:
         receiver: Receiver | None,
     ) -> None:
         self._detector: Any = detector
-        self._cpm, self._rule = messages.startswith(CPM), messages.removeprefix(CPM).removeprefix("-")
+        self._says, self._exact = bool(messages), messages == BOXES
+        self._rule = "" if self._exact else messages.removeprefix(CPM).removeprefix("-")
         self._inbox, self._seed = Inbox(faults_of(condition), defence), seed
         self._made: dict[int, tuple[Objects, dict[int, Cpm]]] = {}
-        if receiver is not None and self._cpm:
+        if receiver is not None and self._says:
             receiver.payload = self._bytes
 
     def measure(self, past: Sequence[Frame], recorded: Sequence[Frame], whole: Sample) -> None:
         """Take the frames, now and before, newest first, as they are and as recorded, and what all measure now."""
         self._past, self._recorded, self._agents = past, recorded, len(whole.agent_ids)
-        if self._cpm:
+        if self._says:
             self._made = {index: one for index, one in self._made.items() if index >= past[0].index - MAX_AGE}
             self._made[past[0].index] = self._say(past[0], whole)
 
@@ -104,7 +106,7 @@ class Listener:
             (agent, sent.get(agent, now), world_from_sample @ pose)
             for agent, pose in zip(sample.agent_ids, sample.ego_from_agent, strict=True)
         ]
-        if self._cpm:
+        if self._says:
             messages = [self._message(agent, frame, pose) for agent, frame, pose in senders]
             parts = [as_detections(one.objects, world_from_sample) for one in messages]
         else:
@@ -140,7 +142,7 @@ class Listener:
         own, *found = (as_objects(part, pose) for part in self._detector.detect_each(sample))
         others = sample.agent_ids[1:]
         places = {agent: frame.agent(agent).sweep.world_from_lidar[:2, 3] for agent in others}
-        return own, told_at_once(dict(zip(others, found, strict=True)), places, frame.time_s, self._rule)
+        return own, told_at_once(dict(zip(others, found, strict=True)), places, frame.time_s, self._rule, self._exact)
 
     def _bytes(self, frame: Frame, row: int) -> int:
         message = self._said(frame)[1].get(frame.agents[row].agent_id)

@@ -106,7 +106,9 @@ def redundant(rule: str, objects: Objects, place: Array, heard: Sequence[Cpm], t
     return found
 
 
-def told_at_once(found: Mapping[int, Objects], places: Mapping[int, Array], time_s: float, rule: str) -> dict[int, Cpm]:
+def told_at_once(
+    found: Mapping[int, Objects], places: Mapping[int, Array], time_s: float, rule: str = "", exact: bool = False
+) -> dict[int, Cpm]:
     """Return the messages of one instant before which nobody told anything: every object is new, and told.
 
     Args:
@@ -114,11 +116,14 @@ def told_at_once(found: Mapping[int, Objects], places: Mapping[int, Array], time
         places: (2,) of each, m.
         time_s: the instant, s.
         rule: of redundancy mitigation, see `redundant`.
+        exact: numbers are as fine as they are found, to tell what resolution costs.
     """
     messages: dict[int, Cpm] = {}
     for agent, objects in found.items():
         kept = objects[~redundant(rule, objects, places[agent], list(messages.values()), time_s)]
-        messages[agent] = Cpm(round(time_s, 3), *quantised(kept, np.zeros(len(kept))), places[agent])
+        still = np.zeros(len(kept))
+        stated = (kept, still) if exact else quantised(kept, still)
+        messages[agent] = Cpm(round(time_s, 3), *stated, places[agent])
     return messages
 
 

@@ -235,5 +235,7 @@ def bytes_note(results: DatasetResults, methods: Sequence[str]) -> str:
         "where2comm": "is an upper bound: the whole first scale, of which it sends a part",
         "late": "is of the objects of the ground truth that a sender has points on, not of its detections",
     }
-    notes = [f" That of {name} {special[f]}." for name in methods if (f := results.trained[name][0].fusion) in special]
+    first = {name: results.trained[name][0] for name in methods}
+    counted = {name: one.fusion for name, one in first.items() if "messages" not in one.use}
+    notes = [f" That of {name} {special[fusion]}." for name, fusion in counted.items() if fusion in special]
     return "".join(notes)
