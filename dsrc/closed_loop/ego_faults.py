@@ -14,6 +14,9 @@ from sim.boxes import Boxes
 from sim.geometry import pose_matrix
 from sim.streams import Stream, random_generator
 
+Command = tuple[float, float | None]
+"""Acceleration, m/s2, and angle of the front wheels, rad; None of one that does not steer."""
+
 
 class EgoFaults:
     """Faults of one ego, of which `acted` alone has a memory: commands.
@@ -27,8 +30,8 @@ class EgoFaults:
 
     def __init__(self, faults: Faults, seed: int, ego_id: int, step_s: float) -> None:
         self._faults, self._seed, self._ego_id, self._step_s = faults, seed, ego_id, step_s
-        self._asked: list[float] = []
-        self._done = 0.0
+        self._asked: list[Command] = []
+        self._done: Command = 0.0, None
 
     def latency_s(self, time_s: float, usual_s: float) -> float:
         """Return the time from a measurement at `time_s` to its percept, s."""
@@ -61,27 +64,34 @@ class EgoFaults:
         believed = believed_from_true(_body(ego), error)
         return replace(percept, boxes=percept.boxes.transform(believed), velocity=percept.velocity @ believed[:2, :2].T)
 
-    def acted(self, wanted_mps2: float, time_s: float) -> float:
-        """Return the acceleration that a vehicle makes of the commands so far, m/s2; asked once a step, in order.
+    def acted(self, wanted: Command, time_s: float) -> Command:
+        """Return what a vehicle makes of the commands so far; asked once a step, in order.
+
+        Without steering it keeps its route, or returns to it, at once: wheels that begin to steer stand straight.
 
         Args:
-            wanted_mps2: the newest command.
+            wanted: the newest command.
         """
-        self._asked.append(wanted_mps2)
-        target = wanted_mps2
+        self._asked.append(wanted)
+        target, steering = wanted
         for fault in self._there("control_delay", time_s):
             before = len(self._asked) - 1 - round(fault.value / self._step_s)
-            target = self._asked[before] if before >= 0 else 0.0
+            target, steering = self._asked[before] if before >= 0 else (0.0, None)
+        last, turned = self._done
         if any(self._drawn(fault, time_s) for fault in self._there("control_drop", time_s)):
-            target = self._done
+            target, steering = self._done
         else:
             for fault in self._there("brake_gain", time_s):
                 target *= fault.value if target < 0.0 else 1.0
+            for fault in self._there("steering_gain", time_s):
+                steering = None if steering is None else steering * fault.value
         for fault in self._there("control_lag", time_s):
             if fault.value > 0.0:
-                target = self._done + (target - self._done) * (1.0 - math.exp(-self._step_s / fault.value))
-        self._done = target
-        return target
+                share = 1.0 - math.exp(-self._step_s / fault.value)
+                target = last + (target - last) * share
+                steering = None if steering is None else (turned or 0.0) + (steering - (turned or 0.0)) * share
+        self._done = target, steering
+        return self._done
 
     def _there(self, kind: str, time_s: float) -> Iterator[Fault]:
         return (fault for fault in self._faults if fault.kind == kind and fault.at(time_s))

@@ -281,9 +281,10 @@ class ClosedLoop:
                     raise ValueError(f"{name} must be finite, got {value}")
             last = replace(last, decision=Decision(acceleration_mps2, steering_rad=steering_rad))
             self.ticks[-1] = last
-        ego, step_s, steering = last.ego, self.traffic.step_s, last.decision.steering_rad
-        wanted = ego.limits.bounded(last.decision.acceleration_mps2)
-        made = ego.limits.bounded(self._own.acted(wanted, last.actors.time_s - self.start_s))
+        ego, step_s = last.ego, self.traffic.step_s
+        wanted = ego.limits.bounded(last.decision.acceleration_mps2), last.decision.steering_rad
+        acted, steering = self._own.acted(wanted, last.actors.time_s - self.start_s)
+        made = ego.limits.bounded(acted)
         if steering is None:
             self.traffic.command(self.ego_id, max(0.0, ego.speed_mps + made * step_s))
             return

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 
 import msgspec
 
-from dsrc.faults.fault import Faults, faults_text, parse_faults
+from dsrc.faults.fault import Faults, fault_parts, faults_text, parse_faults
 from dsrc.faults.kinds import Severity
 from dsrc.faults.sweeps import SensorFaults
 from sensors.corruptions import CLEAN, CORRUPTIONS, Changes, Condition, CorruptedAgents, Family, ego_of
@@ -131,8 +131,8 @@ def frame_condition(text: str, where: str) -> Faulted:
         SettingsError: as `parse_faults`; a fault has a time, or acts on what happens between frames.
     """
     faults = parse_faults(text, where)
-    for fault in faults:
-        field = f"fault '{fault.text}'"
+    for fault, part in zip(faults, fault_parts(text), strict=True):
+        field = f"fault '{part}'"
         if not fault.always:
             expected = "none of from, to and for: frames are judged one by one"
             raise SettingsError(complaint(where, field, expected, "a time; it has a meaning in dsrc drive"))

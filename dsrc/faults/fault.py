@@ -149,21 +149,31 @@ def parse_faults(text: str, where: str = "drive") -> Faults:
         SettingsError: an unknown kind, number or word, a number out of its range, or a fault that overlaps itself; one
             line names the part of the text.
     """
-    found = tuple(_parse_one(part.strip(), where) for part in re.split(r"\s\+\s", text))
-    require_apart(found, where)
+    parts = fault_parts(text)
+    found = tuple(_parse_one(part, where) for part in parts)
+    require_apart(found, where, texts=parts)
     return found
 
 
-def require_apart(faults: Sequence[Fault], where: str, ego_id: int | None = None) -> None:
+def fault_parts(text: str) -> list[str]:
+    """Return the texts of the single faults of a text."""
+    return [part.strip() for part in re.split(r"\s\+\s", text)]
+
+
+def require_apart(
+    faults: Sequence[Fault], where: str, ego_id: int | None = None, texts: Sequence[str] | None = None
+) -> None:
     """Raise SettingsError where two faults of one kind act on one agent at one time.
 
     Args:
         ego_id: the ego; None before it is known: ids may then be those of helpers, not of the ego.
+        texts: the faults as they were written, for the message; None for their own texts.
     """
-    for one, other in itertools.combinations(faults, 2):
+    written = texts or [fault.text for fault in faults]
+    for (one, said), (other, again) in itertools.combinations(zip(faults, written, strict=True), 2):
         if one.kind == other.kind and _share_time(one, other) and _share_agent(one, other, ego_id):
             expected = f"one fault of the kind '{one.kind}' at a time on an agent"
-            raise SettingsError(complaint(where, f"fault '{other.text}'", expected, f"'{one.text}' beside it"))
+            raise SettingsError(complaint(where, f"fault '{again}'", expected, f"'{said}' beside it"))
 
 
 def _share_time(one: Fault, other: Fault) -> bool:

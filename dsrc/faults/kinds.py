@@ -218,6 +218,7 @@ KINDS: dict[str, FaultKind] = {
     "control_lag": FaultKind("actuation", Seconds, "ego"),
     "control_drop": FaultKind("actuation", Share, "ego"),
     "brake_gain": FaultKind("actuation", Gain, "ego"),
+    "steering_gain": FaultKind("actuation", Gain, "ego"),
 }
 """Kinds beside the corruptions, by name."""
 

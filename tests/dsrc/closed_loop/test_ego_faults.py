@@ -20,7 +20,12 @@ ASKED = [1.0, 2.0, 3.0, -4.0, -5.0, -6.0, 1.0, 2.0]
 
 def made(text: str) -> list[float]:
     own = EgoFaults(parse_faults(text), seed=3, ego_id=1, step_s=0.1)
-    return [own.acted(wanted, 0.1 * step) for step, wanted in enumerate(ASKED)]
+    return [own.acted((wanted, None), 0.1 * step)[0] for step, wanted in enumerate(ASKED)]
+
+
+def steered(text: str, asked: list[float | None]) -> list[float | None]:
+    own = EgoFaults(parse_faults(text), seed=3, ego_id=1, step_s=0.1)
+    return [own.acted((0.0, wheel), 0.1 * step)[1] for step, wheel in enumerate(asked)]
 
 
 def driven(fault: str = "", seed: int = 1, **settings: float) -> ClosedLoop:
@@ -49,6 +54,17 @@ def test_commands_come_late_weak_slowly_or_not_at_all_and_after_the_fault_as_the
         slow[2] + (-4.0 - slow[2]) * (1.0 - math.exp(-0.5))
     )
     assert slow[6:] == ASKED[6:]
+
+
+def test_steering_comes_late_weak_slowly_or_not_at_all_and_braking_alone_leaves_it() -> None:
+    asked = [None, 0.1, 0.2, 0.3, None]
+    assert steered("control_delay:0.1", asked) == [None, None, 0.1, 0.2, 0.3]
+    assert steered("steering_gain:0.5", asked) == [None, 0.05, 0.1, 0.15, None]
+    assert steered("control_drop:1 from 0.2 s", asked) == [None, 0.1, 0.1, 0.1, 0.1]
+    assert steered("brake_gain:0", asked) == asked and made("steering_gain:0") == ASKED
+    slow, share = steered("control_lag:0.2", asked), 1.0 - math.exp(-0.5)
+    assert slow[1] == pytest.approx(0.1 * share) and slow[2] == pytest.approx(slow[1] + (0.2 - slow[1]) * share)
+    assert slow[0] is slow[4] is None
 
 
 def test_numbers_of_no_effect_have_none() -> None:

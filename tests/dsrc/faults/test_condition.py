@@ -45,13 +45,18 @@ def test_a_fault_is_read_again_from_its_kind_and_a_corruption_is_none() -> None:
     [
         ("fog:3 from 4 s to 9 s", "'fog:3 from 4 s to 9 s': expected none of from, to and for"),
         ("dirt:0.5 from 2 s", "expected none of from, to and for"),
-        ("freeze", "'freeze': expected a fault of sensors, poses or radio in single frames, found freeze"),
+        (
+            "freeze",
+            "'freeze': expected a fault of sensors, poses, radio or told objects in single frames, found freeze",
+        ),
         ("localisation_drift:1", "found localisation_drift"),
         ("speed_reading:0.5", "found speed_reading"),
         ("latency:0.2", "found latency"),
         ("fog + control_delay:0.2", "'control_delay:0.2': expected a fault of sensors"),
         ("brake_gain:0.5", "found brake_gain"),
-        ("ghost:1", "found ghost"),
+        ("replay:2", "fault 'replay:2': expected .* told objects in single frames, found replay; it has a meaning in"),
+        ("steering_gain:0.5", "found steering_gain"),
+        ("ghost for 5 s", "fault 'ghost for 5 s': expected none of from, to and for"),
         ("foggy", "expected a kind of fault, found foggy"),
     ],
 )

@@ -75,6 +75,7 @@ def test_it_is_there_from_its_begin_until_before_its_end() -> None:
         ("fog:3 on moon", "expected all, ego, helpers or ids of agents, such as 1003,-1, after 'on', found moon"),
         ("loss:0.3 on ego", "expected helpers or their ids after 'on', found ego"),
         ("pose_error:3 on ego", "expected helpers, as it is an error relative to the ego, found ego"),
+        ("fog:3 + fog:2 for 5 s", "fault 'fog:2 for 5 s': expected one fault of the kind 'fog'"),
         ("fog:3 + fog:2", "fault 'fog:2': expected one fault of the kind 'fog' at a time on an agent, found 'fog:3'"),
     ],
 )
