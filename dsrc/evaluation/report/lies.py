@@ -15,7 +15,7 @@ _ABOUT = (
     f"AP in bird's-eye view. Missed: of the true boxes those without a detection of a score of at least {SURE:g} and "
     "an overlap of 0.5; false boxes: such detections that hit none, in a frame. Attacks refused: of the false "
     "objects told those refused. Wrongly refused: of the messages of helpers that did not lie those of which an object "
-    "was refused. Both are unknown where helpers tell no boxes."
+    "was refused. Both are unknown where helpers tell no boxes. Sent: by all helpers for a frame."
 )
 
 
@@ -26,11 +26,13 @@ def lie_table(rows: Sequence[Row], title: str = "Attacks and defences") -> Table
         return None
     columns = [Column("method", align="left"), Column("AP@0.5", unit="%"), Column("AP@0.7", unit="%")]
     columns += [Column("missed", unit="%"), Column("false boxes"), Column("attacks refused"), Column("wrongly refused")]
+    columns += [Column("sent kB")] if any(row.bytes_per_frame for row in rows) else []
     lines = []
     for kind in kinds:
         for method in methods_of(rows):
             if (row := find_row(rows, method, kind)) is not None:
-                lines.append(TableRow(condition_title(kind), (method, *_numbers(row.metrics))))
+                cells = (method, *_numbers(row.metrics), f"{1e-3 * (row.bytes_per_frame or 0.0):.2f}")
+                lines.append(TableRow(condition_title(kind), cells[: len(columns)]))
     return Table("lies", title, "attack", tuple(columns), tuple(lines), caption=_ABOUT, grouped=True)
 
 
