@@ -22,7 +22,7 @@ test: $(READY)
 
 # Tests that need optional packages: ONNX, Ray, MCAP, stable-baselines3, optuna, those that write the files of others.
 test-extras: $(READY)
-	$(INSTALL) --editable '.[dev,onnx,ray,argoverse,ros,mcap,rl,pettingzoo,osi,foreign,search]'
+	$(INSTALL) --editable '.[dev,onnx,ray,argoverse,ros,mcap,rl,notebook,pettingzoo,osi,foreign,search]'
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m 'extra and not slow and not browser' \
 	    $$(grep -rl --include 'test_*.py' importorskip tests)
 

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+PICTURE_S = 10.0
+"""Longest time for which opening a detector waits for a browser and its first picture, s."""
+
 
 class ReviewApp:
     """Live review page: sessions by browser, and what all of them share.
@@ -49,6 +52,7 @@ class ReviewApp:
         sessions: running sessions by the id of their browser.
         worker: detects over whole runs in the background.
         url: address of the page.
+        pictured: cleared where a detector is to be opened after the first picture of a browser, set by that.
     """
 
     def __init__(self, model: ReviewModel, server: viser.ViserServer, start: ReviewState | None = None) -> None:
@@ -57,7 +61,8 @@ class ReviewApp:
         model.start = self.start
         self.url = address(server)
         self.sessions: dict[int, Session] = {}
-        self.worker = Worker()
+        self.worker, self.pictured = Worker(), threading.Event()
+        self.pictured.set()
         self._using_model = threading.Lock()
         self._changed = threading.Condition()
         self._closed = False
@@ -71,7 +76,8 @@ class ReviewApp:
         """Return the page in a frame, as notebooks show it: on a JupyterHub through its proxy of ports."""
         hub = os.environ.get("JUPYTERHUB_SERVICE_PREFIX", "")
         source = f"{hub}proxy/{self.server.get_port()}/" if hub else self.url
-        return f'<iframe src="{escape(source)}" width="100%" height="600" style="border:0"></iframe>'
+        look = 'width="100%" height="600" style="border:0" allow="clipboard-write"'
+        return f'<iframe src="{escape(source)}" {look}></iframe>'
 
     def wait_session(self, count: int = 1, timeout_s: float = 30.0) -> list[Session]:
         """Wait until at least `count` browsers are connected and return their sessions, oldest first."""
@@ -102,7 +108,7 @@ class ReviewApp:
         state, pose, complaints = read_link(link, self.model, self.start)
         session = Session(
             *(self.model, self._using_model, self.worker, client, state),
-            *(pose, "\n\n".join(complaints), self._world),
+            *(pose, "\n".join(complaints), self._world, self._wait_picture),
         )
         with self._changed:
             connected = not self._closed and client.client_id in self.server.get_clients()
@@ -131,6 +137,13 @@ class ReviewApp:
                 self._pairs = {name: pair for name, pair in self._pairs.items() if pair.cells}
         if session is not None:
             session.close()
+
+    def _wait_picture(self, client: viser.ClientHandle) -> None:
+        """Wait until the first browser has drawn what it was sent: a detector that opens would take its cores."""
+        if not self.pictured.is_set():
+            with contextlib.suppress(RuntimeError, TimeoutError):  # it has gone, or draws nothing in the background
+                client.get_render(2, 2, timeout=PICTURE_S)
+            self.pictured.set()
 
     def _world(self, drive: int) -> tuple[list[StaticPart], str]:
         """Return the static world of a drive, rebuilt once, and why it is not drawn, "" where it is."""
@@ -252,6 +265,9 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
     start = first_state(model, options)
     server = start_server(options.host, port, options.allow_origin)
     app = ReviewApp(model, server, start)
+    known = options.checkpoint is not None and Path(options.checkpoint).is_file()
+    if block and known:  # what is missing is told at once
+        app.pictured.clear()
     try:
         set_start_camera(server, overview(model.sketch(start)))
     except UserError as error:
@@ -261,8 +277,9 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
     if announce is not None:
         announce(app.url)
     try:
-        # While the browser loads the page: a mesh takes half a second to import, torch more.
+        # While the browser loads the page, a mesh takes half a second to import; torch, which takes more, after it.
         load_bodies()
+        app.pictured.wait(PICTURE_S)
         open_late(model.sources)
     except UserError:
         app.close()

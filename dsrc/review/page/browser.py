@@ -69,7 +69,8 @@ const own=['fixedDpr','darkMode','showStats','websocket','pair'],store=Storage.p
 const show=(link,change)=>{const kept=new URLSearchParams(location.search);
  const text=[...own.filter(k=>kept.has(k)).map(k=>k+'='+kept.get(k)),...(link?[link]:[])].join('&');
  history[change](null,'',text?'?'+text:location.pathname);};
-const copy=()=>{const page=new URLSearchParams(location.search).has('pair')?parent:window;
+const page=new URLSearchParams(location.search).has('pair')?parent:window;
+const copy=()=>{
  const {origin,pathname,search}=page.location;
  const text=origin+pathname+'?'+search.slice(1).split('&').filter(part=>!own.includes(part.split('=')[0])).join('&');
  const ask=()=>prompt('Link',text);
@@ -84,7 +85,7 @@ window.reviewPicture=async(url,html)=>{
  for(const one of [scene,await load('data:image/svg+xml,'+encodeURIComponent(svg))])drawn.drawImage(one,0,0);
  return canvas.toDataURL();};
 Storage.prototype.setItem=function(key,value){
- if(key.endsWith('__OPEN_KEY__')){window.top.location.href=new URL('.'+value,location.href).href;return;}
+ if(key.endsWith('__OPEN_KEY__')){page.location.href=new URL('.'+value,location.href).href;return;}
  if(key.endsWith('__COPY_KEY__')){copy();return;}
  if(key.endsWith('__PICTURE_KEY__')){const [download,url,html]=JSON.parse(value);
   window.reviewPicture(url,html).then(href=>Object.assign(document.createElement('a'),{href,download}).click());return;}
@@ -125,11 +126,18 @@ NOTICE = """
 """
 """Take the message that a browser draws in software away after 6 s: it is worth telling once, and not for good."""
 
+_FOLD = """
+(()=>{if(innerWidth>=576)return;const t=setInterval(()=>{
+ const head=[...document.querySelectorAll('div')].find(e=>e.style.cursor==='pointer'&&e.style.height==='3.5em');
+ if(head){clearInterval(t);head.click();}},50);})();
+"""
+# viser puts all panels of a window below 576 px into a sheet, which covers most of a cell.
+
 _TYPE = """<style>html{font-size:16px!important}
 .mantine-Slider-markLabel,.uplot,.uplot *,.mantine-Badge-label{font-size:12px!important}</style>"""
 # viser's smallest text is 8 px; its labels are three quarters of the page's size.
 
-HEAD = f"{_TYPE}<script>{_DRAWING}{HONEST_COLORS}{_LINK}{_KEYS}{NOTICE}</script>"
+HEAD = f"{_TYPE}<script>{_DRAWING}{HONEST_COLORS}{_LINK}{_KEYS}{NOTICE}{_FOLD}</script>"
 """What a live page's head begins with."""
 
 

@@ -94,6 +94,7 @@ class Session:
         pose: CameraPose | None = None,
         notice: str = "",
         world_of: Callable[[int], tuple[Sequence[StaticPart], str]] = lambda _: ((), ""),
+        before_detecting: Callable[[viser.ClientHandle], None] = lambda _: None,
     ) -> None:
         """Build the page and start drawing; `close` ends it.
 
@@ -103,6 +104,7 @@ class Session:
             pose: camera of the start, in the scene; None for that of the state.
             notice: text above the controls at the start.
             world_of: function from the row of a drive to its static world, and why that is not drawn.
+            before_detecting: called with the browser before the first detections are computed.
         """
         self.model, self.client, self.gui, self.scene = model, client, client.gui, client.scene
         self.state = state
@@ -118,7 +120,7 @@ class Session:
         self.place = 0
         self._refresh_at, self._busy, self._version = 0.0, False, 0
         self._seen_frames = len(model.sources[state.drive])
-        self._world_of, self._placed = world_of, -1
+        self._world_of, self._placed, self._before_detecting = world_of, -1, before_detecting
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
         # What the drawn points are of, and when the view rests where some of them are left out.
@@ -476,6 +478,7 @@ class Session:
                 self.stage.draw(sketch, state.drive, lambda: self.camera.follow(sketch, state))
                 if self.model.computes(state):
                     self._place_world(state.drive)
+                    self._before_detecting(self.client)
             with self.using_model:
                 view = self.model.view(shown)
                 self._interval_s = self.model.interval_s(state.drive)

@@ -345,6 +345,17 @@ def test_a_narrow_window_starts_with_the_legend_alone_and_moves_no_other_browser
     wait_for(lambda: len(opened.app.sessions) == 1)
 
 
+def test_in_a_cell_of_half_a_narrow_window_the_sheet_of_panels_is_folded(opened: Opened) -> None:
+    with open_page(f"{opened.app.url}/?fixedDpr=1", (365, 600)) as page:
+        second = Opened(opened.app, page)
+        page.wait_for(
+            "document.body.innerText.includes('Review') && !document.body.innerText.includes('Play')", PATIENCE_S
+        )
+        second.click(folder("Review"))
+        page.wait_for("document.body.innerText.includes('Play')", PATIENCE_S)
+    wait_for(lambda: len(opened.app.sessions) == 1)
+
+
 def test_type_is_legible_and_the_notice_of_software_goes_away(opened: Opened) -> None:
     with open_page(f"{opened.app.url}/?fixedDpr=1", (1440, 900)) as page:
         page.wait_for("document.body?.innerText.includes('Errors of the run')", PATIENCE_S)

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from dsrc.data.sample import Sample
+from dsrc.ops.detections import Detections
 from dsrc.review.errors.report import shown_error
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import LivePage, ReviewApp
@@ -16,7 +18,7 @@ from dsrc.review.page.cells import compare_address
 from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.sources.live import LiveSource
-from tests.dsrc.review.conftest import street_frame
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive, street_frame
 from tests.dsrc.review.page.test_browser import PATIENCE_S, SIZE, Opened, wait_for
 
 pytestmark = [
@@ -91,6 +93,31 @@ def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: li
             wait_for(lambda: right.view.index == 6)
             wait_for(lambda: "frame%3D6" in page.evaluate("location.search"))
             assert page.evaluate("[...document.querySelectorAll('h1')].map(e=>e.textContent)") == ["clean", "fog 3"]
+    finally:
+        app.close()
+
+
+def test_the_first_picture_does_not_wait_for_the_detector(drive: FakeDrive) -> None:
+    waits, asked = threading.Event(), []
+
+    class Slow(FakeDetector):
+        def detect(self, sample: Sample) -> Detections:
+            asked.append(app.pictured.is_set())
+            waits.wait(PATIENCE_S)
+            return super().detect(sample)
+
+    app = ReviewApp(ReviewModel([drive], Slow()), start_server())
+    app.pictured.clear()
+    try:
+        with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
+            (session,) = app.wait_session(1, PATIENCE_S)
+            nodes = "Object.entries(window.__viserMutable?.nodeRefFromName||{})"
+            page.wait_for(f"{nodes}.some(([name,node])=>name.endsWith('/points')&&node)", PATIENCE_S)
+            wait_for(lambda: asked)
+            assert session.view is None
+            waits.set()
+            assert session.wait_drawn(PATIENCE_S).counts is not None
+            assert all(asked)
     finally:
         app.close()
 
