@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from dsrc.cli.progress import made, progress
+from dsrc.cli.progress import log_lines, made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.detection import BenchmarkOptions, Detection, Device, Engine, Evaluation, Scoring, Sharing, Stressing
 from dsrc.options.fields import File, Folder, Output
@@ -20,8 +20,12 @@ class Detect(Detection, frozen=True, kw_only=True):
         dsrc detect data/test --checkpoint detector.pt --out boxes
         dsrc detect data/test --checkpoint my_module:Detector --height auto --format kitti --out boxes
         dsrc detect real --checkpoint detector.pt --height auto --score --out boxes
+
+    Attributes:
+        verbose: also say which engine runs the network, and why.
     """
 
+    verbose: bool = False
     pool: Pool = Pool()
     output: Output = Output()
 
@@ -30,6 +34,8 @@ class Detect(Detection, frozen=True, kw_only=True):
         from dsrc.evaluation.find import detect_drives
         from sim.files import check_apart
 
+        if self.verbose:
+            log_lines("dsrc.models.storage", on_terminals=True)
         check_apart(self.out, self.data)
         if self.score:
             from rich.console import Console

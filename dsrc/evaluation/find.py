@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from dsrc.detectors.levelled import height_in_use
-from dsrc.detectors.texts import named
+from dsrc.detectors.texts import kind_of, named
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check
 from dsrc.evaluation.report.report import provenance_of, stored_index, write_results
@@ -12,6 +12,7 @@ from dsrc.evaluation.results import CLEAN, Row
 from dsrc.evaluation.runner import BenchmarkResult, run_plan
 from dsrc.evaluation.scoring.write import FoundFrame, write_json, write_kitti, write_opencood
 from dsrc.evaluation.stored import write_index
+from dsrc.models.storage.deploy import engine_for
 from dsrc.options.detection import Detection
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import SERIAL, Pool, Progress
@@ -46,7 +47,8 @@ def detect_drives(config: Detection, pool: Pool = SERIAL, progress: Progress | N
         frames=config.frames,
     )
     check(plan, "detect")
-    result = run_plan(plan, config.out, pool, config.device, progress, config.engine, judged=False)
+    engine = engine_for(text, config.engine, config.device) if kind_of(text) == "file" else "fused"
+    result = run_plan(plan, config.out, pool, config.device, progress, engine, judged=False)
     entries = [(entry, result.trained[name][0]) for entry in result.entries]
     write_results(config.out, provenance_of(result), entries)
     write_index(config.out, stored_index(result, entries))

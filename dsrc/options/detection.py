@@ -123,7 +123,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True):
         score: score the boxes by the drives' ground truth, all together and by source: AP, recall, false boxes a frame,
             error of height; a table and sources.json.
         frames: frames to detect in, evenly spread; default: all.
-        engine: execution of the network, see dsrc evaluate.
+        engine: execution of the network, see dsrc drive.
         device: device of the network.
     """
 
@@ -135,7 +135,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True):
     ego_only: bool = False
     score: bool = False
     frames: int | None = None
-    engine: Engine = "fused"
+    engine: AutoEngine = "auto"
     device: Device = "cpu"
 
 

@@ -76,7 +76,7 @@ def drives_of(run: Run, data: Path, out: Path) -> Path:
 
 def score(detector: Path, frames: Path, out: Path) -> SourceScore:
     """Return what a detector finds in all real frames together."""
-    detect_drives(Detection(checkpoint=str(detector), data=frames, out=out))
+    detect_drives(Detection(checkpoint=str(detector), data=frames, out=out, engine="fused"))
     return score_sources(out / "boxes.json", frames)[0]
 
 

@@ -51,7 +51,9 @@ def test_our_export_finds_in_drives_what_the_detector_file_finds(height: str, tm
     assert export_onnx(detector, tmp_path / "small.onnx") == "any number"
     found = []
     for name in ("small.pt", "small.onnx"):
-        row, (boxes,) = detect_drives(checkpoint=str(tmp_path / name), data=data, out=tmp_path / name[-4:])
+        row, (boxes,) = detect_drives(
+            checkpoint=str(tmp_path / name), data=data, out=tmp_path / name[-4:], engine="fused"
+        )
         assert row.detections > 0
         found.append(read_detections(boxes)[0].frames)
     assert found[0].keys() == found[1].keys()

@@ -1,5 +1,6 @@
 """Detections of drives in the forms of others: what is read back is what was found, and view and score take it."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from dsrc.evaluation.find import detect_drives
 from dsrc.evaluation.scoring.read import read_detections
 from dsrc.evaluation.scoring.score import score
+from dsrc.models.storage.deploy import engine_for
 from dsrc.options.detection import Detection
 from dsrc.review.sources.opening import open_sources
 from sim.errors import SettingsError
@@ -56,6 +58,20 @@ def test_a_second_run_computes_nothing_and_writes_the_same(world: Path) -> None:
     detect_drives(config, progress=lambda done, of: steps.append(of))
     assert not any(steps)
     assert {path: path.read_bytes() for path in before} == before
+
+
+def test_the_engine_is_the_machines_and_is_told(
+    world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    stored = json.loads((world / "boxes" / "results.json").read_text())
+    assert stored["provenance"]["settings"]["engine"] == engine_for(world / "small.pt")
+    monkeypatch.setattr("dsrc.models.storage.deploy.BFLOAT16", False)
+    caplog.set_level("INFO", "dsrc.models.storage")
+    again = tmp_path / "small.pt"
+    again.write_bytes((world / "small.pt").read_bytes())
+    detect_drives(checkpoint=str(again), data=world / "data", out=tmp_path / "boxes", frames=1)
+    assert json.loads((tmp_path / "boxes" / "results.json").read_text())["provenance"]["settings"]["engine"] == "fused"
+    assert f"engine fused, since the processor has no bfloat16: {again}" in caplog.messages
 
 
 def test_levelled_and_ego_only_are_others(world: Path) -> None:
