@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, labelled_frames
-from dsrc.data.sample import Sample, SampleDetector, SampleRequest, counted, first_agents, make_sample
+from dsrc.data.sample import DetectorSettings, Sample, SampleDetector, SampleRequest, counted, first_agents, make_sample
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.listener import Listener, fabricated, lies
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
@@ -106,9 +106,9 @@ def evaluate_drive(
         for method in methods:
             if method.channel is not None and method.receives:
                 settings = method.detector.settings
-                spec, step_s = method.channel, interval_of(reader)
-                faulted = radio_faults(faults_of(condition), spec, step_s, ego_id)
-                receivers[condition, method.name] = Receiver(spec, own_seed, step_s, settings, faulted=faulted)
+                receivers[condition, method.name] = receiver_of(
+                    reader, ego_id, condition, method.channel, settings, seed
+                )
             needed = method.messages or method.defence or lies(condition)
             if needed and method.agents != 1 and tells_boxes(method.detector):
                 key, means = (condition, method.name), (method.messages, condition, method.defence, own_seed)
@@ -153,6 +153,15 @@ def evaluate_drive(
                 record.frames.append(one_frame(i, index, ego_id, judged, sample.boxes, points, share))
             count_frame()
     return {key: record.result() for key, record in records.items()}
+
+
+def receiver_of(
+    reader: Drive, ego_id: int, condition: Condition, spec: ChannelSpec, settings: DetectorSettings, seed: int
+) -> Receiver:
+    """Receiver of the ego of a drive, through a channel under the faults of a condition."""
+    step_s = interval_of(reader)
+    faulted = radio_faults(faults_of(condition), spec, step_s, ego_id)
+    return Receiver(spec, drive_seed(seed, reader.drive.name), step_s, settings, faulted=faulted)
 
 
 @dataclass(slots=True)

@@ -67,8 +67,7 @@ class Receiver:
             grid: range that the sample was cropped to.
         """
         ego, others = sample.agent_ids[0], sample.agent_ids[1:]
-        snapshots = _Snapshots(frames, position, self.payload)
-        links = tuple(self.channel.newest(snapshots, agent, ego) for agent in others)
+        links = self.links(frames, position, ego, others)
         ego_from_world = sample.ego_from_agent[0] @ invert(frames[0].agent(ego).sweep.world_from_lidar)
         rows, poses, clouds, lost = [0], [sample.ego_from_agent[0]], [sample.clouds[0]], [_ALL_ARRIVED]
         for row, link in enumerate(links, start=1):
@@ -96,6 +95,11 @@ class Receiver:
             lost=tuple(lost) if any(part.size for part in lost) else (),
         )
         return received, links
+
+    def links(self, frames: Sequence[Frame], position: int, ego: int, others: Sequence[int]) -> tuple[Link, ...]:
+        """Return the links from other agents to an ego, the newest; `frames` and `position` as in `receive`."""
+        snapshots = _Snapshots(frames, position, self.payload)
+        return tuple(self.channel.newest(snapshots, agent, ego) for agent in others)
 
     def arrived(self, frames: Sequence[Frame], position: int, sender: int, ego: int) -> list[int]:
         """Return the numbers of the instants whose message of a sender has arrived by now, in their order.

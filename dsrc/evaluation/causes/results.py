@@ -9,24 +9,29 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from dsrc.data.sample import SampleRequest, participants
+from dsrc.data.drives import Drive
+from dsrc.data.sample import DetectorSettings, SampleRequest, participants
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.causes.cause import FALSE, MISSED, Circumstances, frame_causes
 from dsrc.evaluation.cells import drive_of
-from dsrc.evaluation.detect import MethodResult
+from dsrc.evaluation.config import Case
+from dsrc.evaluation.detect import FrameHistory, MethodResult, receiver_of
 from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.evaluation.runner import CaseResult, TrainedDetector
 from dsrc.evaluation.stress import IOU, SURE
 from dsrc.faults.condition import faults_of
 from dsrc.faults.fault import Fault
+from dsrc.models.channel import Receiver
 from dsrc.tables.files import Scalar, csv_text
 from dsrc.tables.table import Column, Table, TableRow
 from sensors.corruptions import drive_seed
 from sim.files import write_file
+from sim.radio import IDEAL, Radio
 
 FILE = "causes.csv"
 _POSES = "pose_error"
 """Corruption of poses alone, which is made anew: it takes no time. Of the others the tables know the points left."""
+_AT_ONCE = Radio.parse(IDEAL).spec().decisive()
 _COLUMNS = (
     *("method", "condition", "drive", "frame", "position", "error", "kind", "object_id", "rank", "score", "iou"),
     *("distance_m", "points", "points_left", "hidden_from", "hidden_by", "helper", "sentence"),
@@ -53,9 +58,11 @@ def write_causes(
             for table, bad in zip(result.table.frames(), _with_errors(result), strict=True):
                 if bad:
                     wrong[path, int(table.position[0])].append((number, table))
+    receivers: dict[tuple[Path, int], Receiver | None] = {}
     for (path, position), tables in sorted(wrong.items()):
         drive = drive_of(path)
-        frame = drive.read(position)
+        past = FrameHistory(drive.read, position)
+        frame = past[0]
         teams: dict[tuple[SampleRequest, int], tuple[int, ...]] = {}
         for number, table in tables:
             (entry, trained), condition = entries[number], entries[number][0].case.condition
@@ -64,11 +71,17 @@ def write_causes(
             if asked not in teams:
                 teams[asked] = tuple(frame.agents[one].agent_id for one in participants(frame, asked[1], request))
             moved = condition.kind == _POSES or any(_moves(fault) for fault in faults_of(condition))
+            team = teams[asked][:alone]
+            if (path, number) not in receivers:
+                receivers[path, number] = _receiver(drive, team, entry.case, trained.settings, seed)
+            receiver = receivers[path, number]
+            links = () if receiver is None else receiver.links(past, position, team[0], team[1:])
             known = Circumstances(
                 "" if condition.kind == "clean" else condition.label,
                 condition.apply(frame, drive_seed(seed, drive.drive.name)) if moved else None,
-                teams[asked][:alone],
+                team,
                 request.judged_m,
+                {link.sender: link.age_s if link.received else None for link in links},
             )
             for cause in frame_causes(table, frame, SURE, IOU, known):
                 made: dict[str, Any] = msgspec.structs.asdict(cause)
@@ -81,6 +94,14 @@ def write_causes(
                 records[number].append({**who, **place, **distance, **made, **lists})
     lines = [record for number in range(len(entries)) for record in records[number]]
     write_file(out / FILE, csv_text(lines, _COLUMNS, made_by))
+
+
+def _receiver(drive: Drive, team: Sequence[int], case: Case, settings: DetectorSettings, seed: int) -> Receiver | None:
+    """Receiver of a case in a drive; None where all messages arrive at once."""
+    spec, condition = case.spec(), case.condition
+    if len(team) == 1 or (spec.decisive() == _AT_ONCE and not any(fault.radio for fault in faults_of(condition))):
+        return None
+    return receiver_of(drive, team[0], condition, spec, settings, seed)
 
 
 def _moves(fault: Fault) -> bool:

@@ -150,6 +150,18 @@ def test_a_fault_is_a_row_and_one_that_says_a_corruption_or_a_channel_has_its_nu
     assert evaluate_drives(late)[0].metrics == by_kind["delay:0.1"].metrics != by_kind["clean"].metrics
 
 
+def test_causes_know_the_age_of_messages_of_what_delays_them(world: Path) -> None:
+    config = config_of(world, "late", corruption=("clean",), fault=("delay:0.1",), ego_alone=False)
+    evaluate_drives(config)
+    with (config.out / "causes.csv").open(encoding="utf-8") as file:
+        file.readline()
+        lines = [line for line in csv.DictReader(file) if line["error"] == "missed"]
+    told = Counter((line["condition"], "100 ms old" in line["sentence"]) for line in lines)
+    assert told["delay:0.1", True] > 0 and ("clean", True) not in told
+    first = [line["sentence"] for line in lines if line["condition"] == "delay:0.1" and line["position"] == "0"]
+    assert first and not any("ms old" in sentence for sentence in first), "nothing was sent before the first frame"
+
+
 def test_a_fault_that_a_frame_cannot_have_stops_an_evaluation_before_its_work(world: Path) -> None:
     with pytest.raises(SettingsError, match=r"^evaluate: fault 'loss:0.3 from 2 s': expected none of from, to and for"):
         evaluate_drives(config_of(world, "timed", fault=("loss:0.3 from 2 s",)))
