@@ -62,6 +62,8 @@ _MOVED_M = 0.2
 """Least displacement, by a pose error or a delay, that explains anything, m: two cells of a fine grid."""
 _CELL_M = 0.4
 """Side of the cells in which the area of points is counted, m: a pillar of the detectors."""
+_COLUMN_M = 4.5
+"""Height over a false box's floor of the points that may have made it, m: of a pillar, which the detectors see whole."""
 
 
 class ErrorCause(msgspec.Struct, frozen=True, kw_only=True):
@@ -283,18 +285,18 @@ class _Judged:
             return self._of(box, int(self.objects[near[0]]))
         if over:
             return self._of(box, max(over, key=lambda one: over[one]))
-        objects, made, cells = self._points_in(box)
+        objects, made, cells = self._points_over(box)
         inside, count = len(made), int(np.count_nonzero(made))
         alone, area = len(np.unique(cells)) - len(np.unique(cells[~made])), len(np.unique(cells))
         if count and max(count / inside, alone / area) >= 0.5:
-            why = f"{count} of the {inside} points in it were made by {self.known.condition or 'the corruption'}"
+            why = f"{count} of the {inside} points over it were made by {self.known.condition or 'the corruption'}"
             if 2 * count < inside:
-                why += f", over {alone / area:.0%} of the area that they cover"
+                why += f", which alone fill {alone / area:.0%} of their area"
             return "made by the corruption", why, None, None, None
         users, points = np.unique(objects[np.isin(objects, self.all.object_id)], return_counts=True)
         if 2 * points.max(initial=0) >= max(inside, 1):
             return self._of(box, int(np.searchsorted(self.all.object_id, users[points.argmax()])))
-        return "of nothing", f"no road user is there; {inside} points are in it, {away:.0f} m away", None, None, None
+        return "of nothing", f"no road user is there; {inside} points are over it, {away:.0f} m away", None, None, None
 
     def _of(self, box: int, place: int) -> tuple[FalseKind, str, int | None, int | None, int | None]:
         """Cause of a false box that is of a road user of the frame, as `_why_false`."""
@@ -396,9 +398,12 @@ class _Judged:
             return f"{left} points on it"
         return f"{left} of {before} points left" + (f" in {self.known.condition}" if self.known.condition else "")
 
-    def _points_in(self, box: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-        """(P,) points of the team in a box: object, whether a corruption made it, number of its cell."""
-        one = self.boxes[box : box + 1].transform(self.lidar)
+    def _points_over(self, box: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+        """(P,) points of the team over a box's floor: object, whether a corruption made it, number of its cell."""
+        column = self.boxes.array[box : box + 1].copy()
+        column[:, 2] += 0.5 * (_COLUMN_M - column[:, 5])
+        column[:, 5] = _COLUMN_M
+        one = Boxes.from_array(column).transform(self.lidar)
         parts = []
         for k in self.rows:
             sweep = (self.known.corrupted or self.frame).agents[k].sweep

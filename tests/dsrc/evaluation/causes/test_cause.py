@@ -222,14 +222,14 @@ def test_false_boxes_of_snow_and_of_nothing() -> None:
     of, right = frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, OPEN_BOX]
     ghost = ([-15.0, 5.0, 0.8, 4.0, 1.8, 1.6, 0.0], 0.5)
     nothing = the_one(of, [*right, ghost])
-    assert nothing.kind == "of nothing" and "no road user is there; 0 points are in it" in nothing.sentence
+    assert nothing.kind == "of nothing" and "no road user is there; 0 points are over it" in nothing.sentence
     lidar = of.agents[0].sweep.world_from_lidar
     flakes = np.tile([-15.0, 5.0, 0.8 - LIDAR_M], (6, 1))
     fate = np.array([SCATTERED] * 4 + [KEPT] * 2, np.uint8)
     snowed = of.with_sweeps([make_sweep(flakes, lidar, 0.7, fate=fate), of.agents[1].sweep])
     made = [one for one in causes(of, [*right, ghost], Circumstances("snow 5", snowed)) if one.error == "false"]
     assert [one.kind for one in made] == ["made by the corruption"]
-    assert made[0].sentence == "score 0.50: 4 of the 6 points in it were made by snow 5"
+    assert made[0].sentence == "score 0.50: 4 of the 6 points over it were made by snow 5"
 
 
 def test_flakes_all_over_a_box_made_it_though_a_pole_in_it_has_more_points() -> None:
@@ -246,8 +246,19 @@ def test_flakes_all_over_a_box_made_it_though_a_pole_in_it_has_more_points() -> 
         assert cause.kind == kind
         if kind == "made by the corruption":
             assert cause.sentence == (
-                "score 0.50: 40 of the 540 points in it were made by snow 5, over 98% of the area that they cover"
+                "score 0.50: 40 of the 540 points over it were made by snow 5, which alone fill 98% of their area"
             )
+
+
+def test_echoes_above_a_low_box_made_it_as_columns_are_what_a_detector_sees() -> None:
+    of, right = frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, OPEN_BOX]
+    ghost, ego, helper = ([-15.0, 5.0, 0.8, 4.0, 1.8, 1.6, 0.0], 0.5), *(agent.sweep for agent in of.agents)
+    for height, kind in ((2.5, "made by the corruption"), (5.0, "of nothing")):
+        echoes = np.tile([-15.0, 5.0, height - LIDAR_M], (6, 1))
+        fogged = make_sweep(echoes, ego.world_from_lidar, 0.7, fate=np.full(6, SCATTERED, np.uint8))
+        known = Circumstances("fog 3", of.with_sweeps([fogged, helper]))
+        false = [one for one in causes(of, [*right, ghost], known) if one.error == "false"]
+        assert [one.kind for one in false] == [kind]
 
 
 def test_a_box_made_of_the_points_of_a_road_user_is_of_it_though_they_hardly_overlap() -> None:
