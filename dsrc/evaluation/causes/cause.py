@@ -63,7 +63,7 @@ _MOVED_M = 0.2
 _CELL_M = 0.4
 """Side of the cells in which the area of points is counted, m: a pillar of the detectors."""
 _COLUMN_M = 4.5
-"""Height over a false box's floor of the points that may have made it, m: of a pillar, which the detectors see whole."""
+"""Height over a false box's floor of the points that may have made it, m: detectors see whole pillars."""
 
 
 class ErrorCause(msgspec.Struct, frozen=True, kw_only=True):
