@@ -115,14 +115,11 @@ class PerceptionClock:
     def percept(self, before: Actors, now: Actors, claims: dict[str, Actors], ego: EgoState) -> Percept | None:
         """Return the percept that arrives at the next step: of this instant, or of an earlier one with a latency.
 
-        None without one, and after a failure.
+        None without one, and after a failure, such as a fault on an id that is no agent of this episode.
 
         Args:
             claims: false objects that helpers report.
             ego: as it is now, for attackers.
-
-        Raises:
-            SettingsError: a setting of the perception does not fit the agents: `who` names an id that none has.
         """
         if self._steps % self._every == 0 and not self.failure:
             began = time.perf_counter()
@@ -130,8 +127,6 @@ class PerceptionClock:
                 if (aim := getattr(self._perception, "aim", None)) is not None:
                     aim(ego)
                 percept = checked_percept(self._perception.perceive(before, now, claims), now.time_s)
-            except SettingsError:
-                raise
             except Exception as error:  # as in `begin`
                 self.failure = _one_line(error)
                 return None
@@ -147,8 +142,6 @@ class PerceptionClock:
         elif (overhear := getattr(self._perception, "overhear", None)) is not None and not self.failure:
             try:
                 overhear(before, now, claims)
-            except SettingsError:
-                raise
             except Exception as error:  # as in `begin`
                 self.failure = _one_line(error)
         self._steps += 1

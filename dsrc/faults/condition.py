@@ -137,7 +137,7 @@ def frame_condition(text: str, where: str) -> Faulted:
             expected = "none of from, to and for: frames are judged one by one"
             raise SettingsError(complaint(where, field, expected, "a time; it has a meaning in dsrc drive"))
         if fault.kind in _IN_TIME or fault.what.place in ("computing", "actuation"):
-            expected = "a fault of sensors, poses, radio or told objects in single frames"
+            expected = "a fault that acts in a single frame"
             raise SettingsError(complaint(where, field, expected, f"{fault.kind}; it has a meaning in dsrc drive"))
     return Faulted(faults_text(faults), faults=faults)
 

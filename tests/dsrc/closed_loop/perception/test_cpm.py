@@ -40,6 +40,13 @@ def test_messages_are_smaller_than_those_of_all_boxes_and_tell_of_the_same_objec
     assert np.isnan(last.velocity).all() and (last.boxes.object_id == -1).all()
 
 
+def test_senders_that_leave_out_what_others_tell_send_less_and_the_ego_knows_of_as_many(loop: ClosedLoop) -> None:
+    usual, less = percepts(loop, "cpm", "ideal"), percepts(loop, "cpm-dynamics", "ideal")
+    sent = [sum(link.bytes_now for one in found for link in one.links) for found in (usual, less)]
+    assert 0 < sent[1] < sent[0]
+    assert near_any(usual[-1].boxes, less[-1].boxes).mean() > 0.8
+
+
 def test_an_instant_without_a_message_is_not_one_that_was_received(loop: ClosedLoop) -> None:
     links = [link for found in percepts(loop, "cpm", "ideal") for link in found.links]
     silent = [link for link in links if link.bytes_now == 0]
