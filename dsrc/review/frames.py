@@ -112,11 +112,6 @@ class Recordings:
     """
 
     def __init__(self, sources: Sequence[Source | Drive]) -> None:
-        """Open sources, or drives as they are.
-
-        Raises:
-            DataError: the list or a drive is empty.
-        """
         if not sources:
             raise DataError("review: no drives")
         self.sources = [one if isinstance(one, Source) else DriveSource(one) for one in sources]

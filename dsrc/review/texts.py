@@ -219,7 +219,7 @@ def legend(view: FrameView) -> str:
 def fates_table(view: FrameView) -> str:
     """HTML table of what the corruption did to the points of each agent."""
     rows = [
-        (agent.title, *map(_thousands, (agent.total, agent.fates[SCATTERED], agent.fates[MOVED], agent.lost)))
+        (agent.title, *map(thousands, (agent.total, agent.fates[SCATTERED], agent.fates[MOVED], agent.lost)))
         for agent in view.agents
     ]
     return html_table(("", "points", "added", "moved", "lost"), rows)
@@ -275,11 +275,12 @@ def scale_bar(color_by: ColorBy) -> str:
 
 
 def _title(agent: AgentView) -> str:
-    lost = f", {_thousands(agent.lost)} lost" if agent.lost else ""
-    return f"{agent.title}{' · ego' if agent.is_ego else ''} · {_thousands(agent.total)} points{lost}"
+    lost = f", {thousands(agent.lost)} lost" if agent.lost else ""
+    return f"{agent.title}{' · ego' if agent.is_ego else ''} · {thousands(agent.total)} points{lost}"
 
 
-def _thousands(count: int) -> str:
+def thousands(count: int) -> str:
+    """Number with thin spaces between its thousands."""
     return f"{count:,}".replace(",", "\u2009")
 
 

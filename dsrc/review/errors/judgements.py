@@ -34,14 +34,6 @@ class Judgements(Recordings):
     """
 
     def __init__(self, sources: Sequence[Source | Drive], detector: SampleDetector | None = None) -> None:
-        """Judge sources or drives.
-
-        Args:
-            detector: gives all sources a set named `DETECTOR`.
-
-        Raises:
-            DataError: the list or a drive is empty.
-        """
         super().__init__(sources)
         if detector is not None:
             for source in self.sources:

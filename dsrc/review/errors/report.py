@@ -156,15 +156,20 @@ def curve_on_grid(curve: Curve, recall: NDArray[np.float64]) -> NDArray[np.float
     return np.where(at < len(best), np.append(best, np.nan)[np.minimum(at, len(best))], np.nan)
 
 
+def _asked(model: Judgements, state: ReviewState) -> list[tuple[str, Setup]]:
+    """Sets and setups that the report of a state is of: all that are shown, and the first of the other run."""
+    before = other_run(state)
+    asked = [(name, model.setup(state)) for name in state.methods or (model.method(state),)]
+    asked += [(model.method(before), model.setup(before))] if before is not None else []
+    return list(dict.fromkeys(asked))
+
+
 def to_detect(model: Judgements, state: ReviewState) -> list[tuple[str, Setup]]:
     """Computed sets and setups that the report of a state needs and that lack frames."""
-    before = other_run(state)
-    wanted = [(name, model.setup(state)) for name in state.methods or (model.method(state),)]
-    wanted += [(model.method(before), model.setup(before))] if before is not None else []
     sets, total = model.sources[state.drive].sets, len(model.sources[state.drive])
     return [
         (name, setup)
-        for name, setup in dict.fromkeys(wanted)
+        for name, setup in _asked(model, state)
         if isinstance(sets.get(name), ComputedSet) and len(sets[name].rows(setup)) < total
     ]
 
@@ -200,15 +205,8 @@ class Reports:
             patience_s: age up to which a report may lack frames that became known since.
         """
         key = tuple(getattr(state, name) for name in _FIELDS)
-        before = other_run(state)
-        counts = tuple(
-            sum(
-                len(self._model.sources[one.drive].sets[name].rows(self._model.setup(one)))
-                for name in one.methods or (self._model.method(one),)
-            )
-            for one in (state, before)
-            if one is not None
-        )
+        sets = self._model.sources[state.drive].sets
+        counts = tuple(len(sets[name].rows(setup)) for name, setup in _asked(self._model, state))
         kept = self._known.get(key)
         if kept is not None and (kept[0] == counts or time.monotonic() < kept[1] + patience_s):
             return kept[2]

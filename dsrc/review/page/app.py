@@ -43,7 +43,7 @@ PICTURE_S = 10.0
 
 
 class ReviewApp:
-    """Live review page: sessions by browser, and what all of them share.
+    """Live review page on a running server, until `close`: sessions by browser, and what all of them share.
 
     Attributes:
         model: drives, detector and caches.
@@ -56,7 +56,6 @@ class ReviewApp:
     """
 
     def __init__(self, model: ReviewModel, server: viser.ViserServer, start: ReviewState | None = None) -> None:
-        """Serve the page on a running server; `close` ends it."""
         self.model, self.server, self.start = model, server, start or ReviewState()
         model.start = self.start
         self.url = address(server)

@@ -47,10 +47,9 @@ def find_chromium() -> str | None:
 
 
 class BrowserPage:
-    """Open page of a browser."""
+    """Open page of a browser, by its DevTools connection."""
 
     def __init__(self, socket: Any) -> None:
-        """Take the page's DevTools connection."""
         self._socket = socket
         self._ids = count(1)
 

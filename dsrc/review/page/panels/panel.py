@@ -46,10 +46,9 @@ class Panel:
 
 
 class BoundControl:
-    """Widget of one control: what a user sets changes the state, what the state is sets the widget."""
+    """Widget of one control, in the open container; what a user sets changes the state, the state sets the widget."""
 
     def __init__(self, control: Control, page: Page) -> None:
-        """Build the widget in the page, in the container that is open."""
         self.control = control
         self._page = page
         self._written: Any = self

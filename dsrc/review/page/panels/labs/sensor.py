@@ -16,7 +16,7 @@ from dsrc.review.page.protocol import Shown
 from dsrc.review.page.scene import place_frame
 from dsrc.review.palette import SENSOR
 from dsrc.review.points import subsample
-from dsrc.review.texts import quoted
+from dsrc.review.texts import quoted, thousands
 from dsrc.review.view import AgentView
 from dsrc.review.worker import Latest
 from sensors.presets import LIDARS, get_lidar
@@ -252,13 +252,9 @@ def cast_report(spec: LidarSpec, made: Cast) -> str:
     """Markdown of a cast sweep: points, rays and their rates."""
     cast, fired = made.rays / max(made.seconds, 1e-6), made.rays * spec.rate_hz
     return (
-        f"**{_grouped(len(made.sweep))} points** of {_grouped(made.rays)} rays, cast in {1e3 * made.seconds:.0f} ms: "
+        f"**{thousands(len(made.sweep))} points** of {thousands(made.rays)} rays, cast in {1e3 * made.seconds:.0f} ms: "
         f"{cast / 1e6:.2f} M rays/s. The sensor fires {fired / 1e6:.2f} M rays/s."
     )
-
-
-def _grouped(count: int) -> str:
-    return f"{count:,}".replace(",", "\u2009")
 
 
 def _placement(numbers: tuple[float, ...]) -> Placement:
