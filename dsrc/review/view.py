@@ -96,38 +96,25 @@ class AgentShare:
     without: float
 
 
-@dataclass(frozen=True, slots=True)
-class ObjectDetails:
-    """Ground truth of one object, and what the detector made of it.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Details:
+    """What the card says of a box.
 
     Attributes:
-        object_id: the object.
         class_name: of `sim.boxes.CLASSES`.
         size: length, width, height, m.
         distance_m: from the ego to its centre, in the plane.
-        speed: m/s.
-        acceleration: along its heading, m/s2; NaN where unknown.
-        lights: names of the lights that are on, see `sim.traffic.base.SIGNALS`.
-        lane: name of its lane, "" off the lanes.
-        seen_by: `BY_EGO`, `BY_HELPER` or `BY_NOBODY`, see `Frame.seen_by`.
-        visibility: from each agent, in the order of the frame.
-        verdict: `detected`, `missed`, `not evaluated`; "" without a detector.
-        score: of its detection; NaN without one.
-        iou: with its detection; NaN without one.
-        cause: why it is missed, "" where it is not.
-        shares: of the agents in its detection, the ego's first; empty where unknown.
+        verdict: `detected`, `missed` or `not evaluated` of an object, `true positive` or `false positive` of a
+            detection; "" without a detector or labels.
+        score: of the detector; NaN for an object without a detection.
+        iou: of the detection with its object, or with the one that it overlaps most; NaN or 0 without.
+        cause: why the object is missed or the detection false, "" where it is not.
+        shares: of the agents in the detection, the ego's first; empty where unknown.
     """
 
-    object_id: int
     class_name: str
     size: tuple[float, float, float]
     distance_m: float
-    speed: float
-    acceleration: float
-    lights: tuple[str, ...]
-    lane: str
-    seen_by: int
-    visibility: tuple[ObjectVisibility, ...]
     verdict: str = ""
     score: float = math.nan
     iou: float = math.nan
@@ -135,35 +122,42 @@ class ObjectDetails:
     shares: tuple[AgentShare, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class DetectionDetails:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectDetails(_Details):
+    """Ground truth of one object, and what the detector made of it.
+
+    Attributes: those of any box, and
+        object_id: the object.
+        speed: m/s.
+        acceleration: along its heading, m/s2; NaN where unknown.
+        lights: names of the lights that are on, see `sim.traffic.base.SIGNALS`.
+        lane: name of its lane, "" off the lanes.
+        seen_by: `BY_EGO`, `BY_HELPER` or `BY_NOBODY`, see `Frame.seen_by`.
+        visibility: from each agent, in the order of the frame.
+    """
+
+    object_id: int
+    speed: float
+    acceleration: float
+    lights: tuple[str, ...]
+    lane: str
+    seen_by: int
+    visibility: tuple[ObjectVisibility, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectionDetails(_Details):
     """One detection.
 
-    Attributes:
+    Attributes: those of any box, and
         rank: its place in the order of the scores.
-        class_name: of `sim.boxes.CLASSES`.
-        size: length, width, height, m.
-        distance_m: from the ego to its centre, in the plane.
-        score: of the detector.
-        verdict: `true positive`, `false positive`, or "" in a drive without labels.
         object_id: the matched object, for a false positive the one that it overlaps most; None without overlap.
-        iou: with that object; 0 without overlap.
         points: points of each agent in the box, as drawn: (displayed name, number).
-        cause: why it is false, "" where it is not.
-        shares: of the agents in it, the ego's first; empty where unknown.
     """
 
     rank: int
-    class_name: str
-    size: tuple[float, float, float]
-    distance_m: float
-    score: float
-    verdict: str
     object_id: int | None
-    iou: float
     points: tuple[tuple[str, int], ...]
-    cause: str = ""
-    shares: tuple[AgentShare, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
