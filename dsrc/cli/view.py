@@ -99,7 +99,7 @@ class View(ServeOptions, frozen=True, kw_only=True):
         """Write page, picture and animation of the view of options and link, and print their paths."""
         from dsrc.review.model import open_model
         from dsrc.review.page.app import first_state
-        from dsrc.review.page.offline.pages import linked_views
+        from dsrc.review.page.link import linked_views
         from dsrc.review.page.output.export import export_pictures, picture, write_animation, write_page, write_picture
         from sensors.corruptions import Condition
         from sim.files import check_apart, check_output

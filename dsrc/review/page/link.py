@@ -11,6 +11,7 @@ import numpy as np
 from dsrc.review.labs.parameters import changed, parameters_of, parse_change
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import UP, CameraPose
+from dsrc.review.page.cells import links_of
 from dsrc.review.page.controls import Choice, Control, Slider
 from dsrc.review.page.panels import CONTROLS
 from dsrc.review.page.protocol import Shown
@@ -117,6 +118,28 @@ def unknown_names(query: str) -> list[str]:
     return [name for name, _ in parse_qsl(query, keep_blank_values=True) if name not in known] or (
         [query] if query and "=" not in query else []
     )
+
+
+def linked_views(
+    model: ReviewModel, link: str, start: ReviewState | None = None
+) -> list[tuple[ReviewState, CameraPose | None]]:
+    """States and cameras of a link: one, or those of up to four cells.
+
+    Args:
+        link: a page's address, or its query.
+        start: what is shown where the link says nothing; None for the first frame as recorded.
+
+    Raises:
+        SettingsError: a part of the link is wrong.
+    """
+    links = links_of(link)
+    for name in (name for one in links for name in unknown_names(one)):
+        raise SettingsError(complaint("link", name, "names as in the address of a page", "one that it does not have"))
+    views = [read_link(one, model, start or ReviewState()) for one in links]
+    for _, _, complaints in views:
+        if complaints:
+            raise SettingsError(complaints[0])
+    return [(state, pose) for state, pose, _ in views]
 
 
 def _text(model: ReviewModel, field: str, value: Any) -> str:

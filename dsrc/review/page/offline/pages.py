@@ -17,8 +17,6 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.over_time.strips import over_time
 from dsrc.review.page import cameras
 from dsrc.review.page.cameras import CameraPose, overview
-from dsrc.review.page.cells import links_of
-from dsrc.review.page.link import read_link, unknown_names
 from dsrc.review.page.offline.overlay import (
     SHOWN,
     CameraButton,
@@ -60,28 +58,6 @@ POINT_STEP_M = 1.0 / 32.0
 """Rounding of points, m: the resolution of float16 beyond 32 m; saves a quarter of the page."""
 # viser sends no pose that is zero, and a page that goes back to its start would keep the last one.
 _NEARLY = np.asarray(pose_matrix([0.0, 0.0, 1e-6], 1e-6), np.float64)
-
-
-def linked_views(
-    model: ReviewModel, link: str, start: ReviewState | None = None
-) -> list[tuple[ReviewState, CameraPose | None]]:
-    """States and cameras of a link: one, or those of up to four cells.
-
-    Args:
-        link: a page's address, or its query.
-        start: what is shown where the link says nothing; None for the first frame as recorded.
-
-    Raises:
-        SettingsError: a part of the link is wrong.
-    """
-    links = links_of(link)
-    for name in (name for one in links for name in unknown_names(one)):
-        raise SettingsError(complaint("link", name, "names as in the address of a page", "one that it does not have"))
-    views = [read_link(one, model, start or ReviewState()) for one in links]
-    for _, _, complaints in views:
-        if complaints:
-            raise SettingsError(complaints[0])
-    return [(state, pose) for state, pose, _ in views]
 
 
 def views_html(

@@ -18,8 +18,9 @@ from dsrc.outputs import COMMENT
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp, first_state
 from dsrc.review.page.cells import CELL, links_of
+from dsrc.review.page.link import linked_views
 from dsrc.review.page.offline.overlay import page_html
-from dsrc.review.page.offline.pages import linked_views, over_sky, picture_parts, png_of, record, views_html
+from dsrc.review.page.offline.pages import over_sky, picture_parts, png_of, record, views_html
 from dsrc.review.page.output.screenshot import PATIENCE_S, BrowserPage, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.state import ReviewState

@@ -6,6 +6,7 @@ from html import escape
 from typing import Any
 
 from dsrc.review.page.browser import COPY_KEY, PICTURE_KEY
+from dsrc.review.page.offline.pages import over_sky, picture_parts, views_html
 from dsrc.review.page.panels.panel import Panel, set_fields
 from dsrc.review.page.protocol import Shown
 from sim.errors import DataError, UserError
@@ -55,9 +56,6 @@ class SharePanel(Panel):
         return f"{self._page.model.names[state.drive]}_{state.frame}.{kind}".replace("/", "_")
 
     def _save_page(self) -> None:
-        # Here, for a page that reads links knows all panels.
-        from dsrc.review.page.offline.pages import views_html
-
         page = self._page
         page.tell("Writing the page \u2026")
         html = views_html(page.model, page.views(), using_model=page.using_model)
@@ -65,8 +63,6 @@ class SharePanel(Panel):
         page.download(self._name("html"), html)
 
     def _save_picture(self) -> None:
-        from dsrc.review.page.offline.pages import over_sky, picture_parts
-
         page, camera = self._page, self._page.client.camera
         state, view = page.state, page.view
         if view is None:

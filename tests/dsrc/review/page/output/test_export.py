@@ -14,7 +14,7 @@ from dsrc.data.sample import Sample
 from dsrc.ops.detections import Detections
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
-from dsrc.review.page.offline.pages import linked_views
+from dsrc.review.page.link import linked_views
 from dsrc.review.page.output.export import export_html, export_pictures, export_states
 from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page, screenshot
 from dsrc.review.sources.results import SharedSource
