@@ -229,14 +229,14 @@ def main(quick: bool = False, out: Path | None = None) -> None:
     """Measure what drives cost.
 
     Args:
-        quick: fewer frames and points.
+        quick: fewer frames and points, and none on Ray.
         out: folder on the disk to write to; in memory (/dev/shm) where there is such, so that no disk is measured.
     """
     frames = 4 if quick else 21
     memory = Path("/dev/shm")
     place = out if out is not None else memory if memory.is_dir() else None
     kinds: dict[str, Callable[[int], Executor]] = {"local": ProcessExecutor}
-    if find_spec("ray") is not None:
+    if not quick and find_spec("ray") is not None:  # its start takes longer than all else
         kinds["ray"] = RayExecutor
     cores = os.cpu_count() or 1
     counts = [1, 2] if quick else [count for count in (1, 2, 4, 8, 16) if count <= max(2, cores)]

@@ -7,9 +7,9 @@ reconstruction to each of its steps, and nothing to its use. Students of single 
 campaign's longest phase.
 
 On a GPU batches are made there of points in its memory, as a training makes them (`--resident False`: by the host). The
-same steps end with the share of the time in which it computes and, with `--trace`, with a trace of one step of DSRC for
-chrome://tracing; recipes and random numbers are those of a CPU. `loader_ms` is the CPU time of a loader's process for a
-batch: it reads, draws and collates whole samples, or draws alone.
+same steps end with the share of the time in which it computes; recipes and random numbers are those of a CPU. `--trace`
+writes a trace of one step of DSRC for chrome://tracing, on a CPU too (`--resident True`: by a GPU's way). `loader_ms`
+is the CPU time of a loader's process for a batch: it reads, draws and collates whole samples, or draws alone.
 
     python -m benchmarks.training            # a few minutes
     python -m benchmarks.training --quick    # fewer samples, under 50 s
@@ -196,11 +196,13 @@ class Step:
             torch.cuda.set_sync_debug_mode("default")
 
     def busy(self, trace: Path | None) -> float:
-        """Return the share of a step's time in which the GPU computes, and write the trace of that step."""
-        with profile(activities=[ProfilerActivity.CPU, ProfilerActivity.CUDA]) as profiler:
+        """Return the share of a step's time in which a GPU computes, and write the trace of that step."""
+        on_gpu = self.device != "cpu"
+        with profile(activities=[ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if on_gpu else [])]) as profiler:
             start = time.perf_counter()
             self.module.backward(total(self.module.losses(self.feed.make()).values()))
-            torch.cuda.synchronize()
+            if on_gpu:
+                torch.cuda.synchronize()
             whole = time.perf_counter() - start
         if trace is not None:
             profiler.export_chrome_trace(str(trace))
@@ -275,10 +277,10 @@ def main(
         device: where they run, `cpu` or `cuda`.
         resident: make batches of points in the device's memory; by default on a GPU.
         sync_debug: before all else, run each step once on a GPU so that it raises where the host waits.
-        trace: file for the trace of a step of DSRC on a GPU.
+        trace: file for the trace of a step of DSRC.
     """
-    if device == "cpu" and (sync_debug or trace is not None):
-        raise SettingsError(complaint("benchmark", "--sync-debug, --trace", "--device cuda", device))
+    if device == "cpu" and sync_debug:
+        raise SettingsError(complaint("benchmark", "--sync-debug", "--device cuda", device))
     torch.set_num_threads(1)
     resident = device != "cpu" if resident is None else resident
     steps = make_steps(replace(RECIPES[recipe](), bfloat16=bfloat16), device, resident)
@@ -296,6 +298,7 @@ def main(
     facts |= {"threads": 1, "cores": os.cpu_count()}
     if device != "cpu":
         facts |= {f"wall_ms_{name}": round(1e3 * timing.wall_s, 1) for name, timing in timings.items()}
+    if device != "cpu" or trace is not None:
         facts["busy"] = round(steps["dsrc"].busy(trace), 3)
     print(json.dumps(figures_of(steps, timings) | facts | {"others_load_cores": round(others, 2)}))
 
