@@ -1,5 +1,6 @@
 """What an ego hears in single frames: lies in points and boxes, and boxes as ETSI's messages."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -144,8 +145,13 @@ def test_the_command_of_the_page_makes_its_table(tmp_path: Path, monkeypatch: py
     assert dsrc(*made[:2], "--out", "data/attacks", "--frames", "2", "--seed", "903").returncode == 0
     ran = dsrc(*words_of("attacks.md", "evaluate"))
     assert ran.returncode == 0, ran.stderr
-    said = ran.stdout
-    assert "attacks refused" in said and "ghost:1" in said and "cpm-dynamics" in said, said
+    assert "Attacks and defences" in ran.stdout, ran.stdout
+    rows = json.loads((tmp_path / "runs/attacks-in-frames/results.json").read_text())["rows"]
+    told = {(row["condition"], row["method"]): row["metrics"] for row in rows}
+    for message in ("boxes", "cpm-dynamics"):
+        lie = told["ghost:1", f"small-dsrc, {message}, free-space"]
+        assert 0 < lie["false_refused"] <= lie["false_told"]
+        assert told["ghost:1", f"small-dsrc, {message}"]["false_refused"] == 0
 
 
 def test_the_plan_of_the_page_is_whole() -> None:
