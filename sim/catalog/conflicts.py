@@ -31,8 +31,16 @@ _OPPOSITE = -0.7
 _BODY_M = 1.25
 """Half the width of a parked lorry, m."""
 _KERB_M = 0.25
+_BEFORE_LINE_M = 1.0
+"""Gap between the first of a row of lorries and the stop line, m."""
+_LORRY_M, _ROW = 9.5, 8
+"""Length of a lorry with the gap behind it, m, and most of them: a shorter row hides nobody from an ego far away."""
+_EMERGES_M, _RUNS_MPS = 2.8, 3.3
+"""Way of a pedestrian in sight before the ego's, m, and the fastest that runs."""
 _STREET_M, _TOWN_MPS = 130.0, 14.5
 """Length and limit of a street on which somebody crosses behind parked vans, least and most."""
+_APART_M = 100.0
+"""Street for each of them, m."""
 _ALIKE = 2
 """Candidates of one kind and occluder at one place."""
 
@@ -136,7 +144,10 @@ def _at_junction(
 
 def _kind(ego: _Way, other: _Way, across: str) -> str:
     """Return the kind of a conflict of two connections; "" without one that is mined."""
-    if ego.lane.getEdge() is other.lane.getEdge() or other.link.getDirection() not in ("s", "S"):
+    straight = ("s", "S")
+    if ego.lane.getEdge() is other.lane.getEdge():
+        return ""
+    if not {ego.link.getDirection(), other.link.getDirection()} & set(straight):
         return ""
     opposite = float(ego.ahead @ other.ahead) < _OPPOSITE
     if ego.link.getToLane() is other.link.getToLane():
@@ -145,7 +156,7 @@ def _kind(ego: _Way, other: _Way, across: str) -> str:
         return ""
     if not opposite:
         return "crossing"
-    return "turn across" if ego.link.getDirection().lower() == across else ""
+    return "turn across" if ego.link.getDirection().lower() == across and other.link.getDirection() in straight else ""
 
 
 def _hidden(
@@ -174,8 +185,10 @@ def _hidden(
     queue = next((way for way in ways if way.lane is beside), None)
     if queue is not None:
         path = lane_path(net, queue.lane, queue.link)
-        front = path.stop_m - 1.0 - path.path.nearest(meet)
-        row = PlacedSpec(kind="truck", street="queue", at_m=round(front, 1), count=4, roles=("occluder", "helper"))
+        front = path.stop_m - _BEFORE_LINE_M - path.path.nearest(meet)
+        row = PlacedSpec(
+            kind="truck", street="queue", at_m=round(front, 1), count=_row(path), roles=("occluder", "helper")
+        )
         yield "queue", _own(streets | {"queue": _names(queue)}, parameters, row)
     # From the kerb's side a row along the ego's street hides it, from the other side one along its own.
     near = from_left == (net.kerb_side > 0)
@@ -184,9 +197,9 @@ def _hidden(
         row = PlacedSpec(
             kind="truck",
             street="ego" if near else "conflict",
-            at_m=round(path.stop_m - 4.0 - at, 1),
+            at_m=round(path.stop_m - _BEFORE_LINE_M - at, 1),
             left_m=round(net.kerb_side * (0.5 * way.lane.getWidth() + _KERB_M + _BODY_M), 2),
-            count=4,
+            count=_row(path),
             roles=("occluder", "helper"),
         )
         yield "parked", _own(streets, parameters, row)
@@ -212,31 +225,33 @@ def _behind_lorry(
 
 
 def _streets(base: Scenario, net: Network, units: "_Units", seed: int) -> Iterator[list[Candidate]]:
-    """Yield a pedestrian who crosses between parked vans, in the middle of each street of a town with room for them."""
+    """Yield pedestrians who cross between parked vans, spread along each street of a town with room for them."""
     for edge in sorted(net.getEdges(withInternal=False), key=lambda one: one.getID()):
         lane = next((one for one in edge.getLanes() if one.allows(_CAR)), None)
         if lane is None or edge.getLength() < _STREET_M or lane.getSpeed() > _TOWN_MPS:
             continue
         if _lane_beside(lane, -1) is not None:
             continue
-        way = lane_path(net, lane, None)
-        at = 0.5 * edge.getLength()
-        mps = min(lane.getSpeed(), _FASTEST_MPS, (way.stop_m + at) / _HIT_S)
-        place, _, _ = way.path.at(way.stop_m + at)
-        xy = (round(float(place[0]), 1), round(float(place[1]), 1))
-        spec = None
-        if mps >= _SLOWEST_MPS:
-            left = round(net.kerb_side * (0.5 * lane.getWidth() + _KERB_M + 1.03), 2)
-            before = PlacedSpec(kind="van", at_m=-1.0, left_m=left, count=5)
-            ahead = PlacedSpec(kind="van", at_m=7.2, left_m=left, roles=("occluder", "helper"))
-            parameters = {
-                "ego_mps": _range(mps),
-                "conflict_mps": (2.0, 2.6),
-                "cross_m": round(at, 1),
-                "aside_m": round(abs(left) + 1.8, 1),
-            }
-            spec = _own({"ego": (lane.getID(),)}, parameters, before, ahead)
-        yield [_candidate(base, "pedestrian", "parked", edge.getID(), xy, spec, units.at(xy), seed)]
+        way, number = lane_path(net, lane, None), max(1, int(edge.getLength() / _APART_M))
+        for at in (edge.getLength() * np.arange(1, number + 1) / (number + 1)).tolist():
+            mps = min(lane.getSpeed(), _FASTEST_MPS, (way.stop_m + at) / _HIT_S)
+            place, _, _ = way.path.at(way.stop_m + at)
+            xy = (round(float(place[0]), 1), round(float(place[1]), 1))
+            spec = None
+            if mps >= _SLOWEST_MPS:
+                left = round(net.kerb_side * (0.5 * lane.getWidth() + _KERB_M + 1.03), 2)
+                before = PlacedSpec(kind="van", at_m=-0.6, left_m=left, count=5)
+                ahead = PlacedSpec(kind="van", at_m=7.2, left_m=left, roles=("occluder", "helper"))
+                # Who walks is in sight too early for a slow ego, which stops within less time.
+                walks = min(max(2.0, round(_EMERGES_M / (0.3 + mps / 14.0), 1)), _RUNS_MPS)
+                parameters = {
+                    "ego_mps": _range(mps),
+                    "conflict_mps": (walks, round(walks + 0.3, 1)),
+                    "cross_m": round(at, 1),
+                    "aside_m": round(abs(left) + 1.8, 1),
+                }
+                spec = _own({"ego": (lane.getID(),)}, parameters, before, ahead)
+            yield [_candidate(base, "pedestrian", "parked", edge.getID(), xy, spec, units.at(xy), seed)]
 
 
 def _candidate(
@@ -272,6 +287,11 @@ def _candidate(
 def _own(streets: Mapping[str, tuple[str, ...]], parameters: Mapping[str, Any], *placed: PlacedSpec) -> EncounterSpec:
     given = {"placed": placed} if placed else {}
     return EncounterSpec(kind=own.KIND, streets=dict(streets), parameters=dict(parameters), **given)  # type: ignore[arg-type]
+
+
+def _row(path: LanePath) -> int:
+    """Return how many lorries have room before a stop line."""
+    return max(2, min(_ROW, int((path.stop_m - _BEFORE_LINE_M) / _LORRY_M)))
 
 
 def _names(way: _Way) -> tuple[str, ...]:

@@ -11,13 +11,14 @@ import dsrc
 from dsrc.closed_loop.campaign.plan import read_campaign
 from dsrc.data.mine import TABLE, mine
 from sensors.recording.encounter_check import CONFLICT_ID, EGO_ID, last_chance, prove_encounter, roll_out
-from sensors.recording.mining import PROVEN, Finding
+from sensors.recording.mining import PROVEN, Finding, judge
 from sensors.recording.static_scene import static_scene
 from sensors.scan.line_of_sight import seen_share
-from sim.catalog.conflicts import scenario_text
+from sim.catalog.conflicts import find_conflicts, scenario_text
 from sim.catalog.load import load_scenario, scenarios_in
 from sim.encounters import with_encounter
 from sim.errors import ScenarioError, SettingsError
+from sim.roads.networks import read_network, resolve_network
 from sim.scenario import AgentRule, NetworkSpec, Scenario
 
 GRID: dict[str, Any] = {"grid": True, "grid.number": 2, "grid.length": 150.0, "grid.attach-length": 150.0}
@@ -76,6 +77,13 @@ def test_who_sees_everybody_arrives_and_no_control_crashes(mined: tuple[Path, li
     for name in (path, f"{path}:no_occluder", f"{path}:no_conflict"):
         outcome = dsrc.ClosedLoop(name, dsrc.open_perception("truth")).run(seed=0)
         assert outcome == "arrived", name
+
+
+def test_who_crosses_a_slow_street_behind_parked_vans_is_hidden_until_braking_is_too_late() -> None:
+    base = place(**{"default.lanenumber": 1, "default.speed": 8.3})
+    places = find_conflicts(base, read_network(resolve_network(base, 0)), 0)
+    streets = [row for row in places if row[0].kind == "pedestrian"]
+    assert judge(streets[0], base, 0)[0].verdict == PROVEN
 
 
 def test_a_plan_takes_a_folder_of_scenarios_and_their_variants(
