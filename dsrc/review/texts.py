@@ -280,8 +280,8 @@ def _title(agent: AgentView) -> str:
 
 
 def thousands(count: int) -> str:
-    """Number with thin spaces between its thousands."""
-    return f"{count:,}".replace(",", "\u2009")
+    """Number in groups of three digits, which stay in one line."""
+    return f"{count:,}".replace(",", "\u202f")
 
 
 def _legend_row(rgb: Rgb, text: str, outlined: bool) -> str:

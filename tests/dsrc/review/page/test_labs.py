@@ -31,7 +31,7 @@ from tests.dsrc.review.page.session import node, panel, wait_for
 
 def counted(lab: CorruptionLabPanel) -> list[list[str]]:
     """Cells of each row of the table of points."""
-    rows = re.findall("<tr>(.*?)</tr>", lab.effects.content.replace("\u2009", ""))
+    rows = re.findall("<tr>(.*?)</tr>", lab.effects.content.replace("\u202f", ""))
     return [re.findall("<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
 
 
@@ -190,7 +190,7 @@ def test_a_preset_on_the_ego_is_cast_and_counted(placed: Session) -> None:
     sensors = panel(placed, SensorLabPanel)
     made = cast_after(placed, sensor="vlp-16")
     assert made.rays == made.sweep.spec.rings * made.sweep.spec.columns
-    text = sensors.text.content.replace("\u2009", "")
+    text = sensors.text.content.replace("\u202f", "")
     assert (
         f"**{len(made.sweep)} points** of {made.rays} rays" in text and f"{made.rays * 10 / 1e6:.2f} M rays/s." in text
     )
