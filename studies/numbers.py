@@ -16,7 +16,7 @@ from pathlib import Path
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.metrics.comparison import Value, arrived, collided, counted, pairs
 from dsrc.closed_loop.metrics.statistics import paired_rates, rate
-from dsrc.closed_loop.report.tables import parts_of
+from dsrc.closed_loop.report.tables import parts_of, tables
 from studies.closed_loop.page import committed
 
 ROOT = Path(__file__).parents[1]
@@ -25,6 +25,13 @@ PAGES = ("README.md", "docs/results.md", "docs/closed_loop.md", "docs/campaigns.
 REPORT = ROOT / "studies/dsrc_paper/report"
 LOOP = ROOT / "studies/closed_loop"
 QUOTED = re.compile(r"<!--n:(\w+)-->(.*?)<!--/n-->")
+_PACE = {
+    "safe": "all arrive",
+    "s": "arrives, s",
+    "later": "less the first",
+    "brake": "hardest braking, m/s²",
+    "harsh": "harsh",
+}
 TEAM, PLAIN, ALONE = "DSRC", "plain student", "ego alone"
 
 
@@ -60,7 +67,7 @@ def numbers() -> dict[str, str]:
             *_average_precision(),
             *_demo(),
             *_driving(),
-            *_anticipation(),
+            *_cooperation(),
             *_real(),
         ]
     )
@@ -218,19 +225,24 @@ def _compared(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult], va
     return f"{found.only_first} against {found.only_second} of {len(matched)}, {chance}"
 
 
-def _anticipation() -> Iterator[tuple[str, str]]:
-    """Yield outcomes of perfect sight with the shipped driver and with one that expects somebody behind occluders."""
-    rows = {(row["eyes"], row["driver"]): row for row in _rows(LOOP / "report/anticipation.csv")}
-    for name, key in {
-        "sight_shipped": ("own sight", "shipped"),
-        "sight_anticipating": ("own sight", "anticipating"),
-        "team_anticipating": ("team sight", "anticipating"),
-    }.items():
-        row = rows[key]
-        yield name, f"{row['crashed']} of {int(row['arrived']) + int(row['crashed'])}"
-        yield f"{name}_s", f"{row['duration_s']} s"
-    slower = (float(rows[f"{eyes} sight", "anticipating"]["duration_s"]) for eyes in ("own", "team"))
-    yield "price_of_care", f"{-next(slower) + next(slower):.1f} s".lstrip("-")
+def _cooperation() -> Iterator[tuple[str, str]]:
+    """Yield what eyes give to a driver: crashes, and time and braking where it arrives with all of its eyes."""
+    for plan, eyes in (
+        ("cooperation", {"sight": "own sight", "team_sight": "team's sight"}),
+        ("cooperation-detectors", {"ego": "ego", "team": "team"}),
+    ):
+        result = committed(LOOP / f"{plan}.toml")[1]
+        pace = tables(result)["pace"]
+        heads = [column.title for column in pace.columns]
+        rows = {row.label: dict(zip(heads, map(str, row.cells), strict=True)) for row in pace.rows}
+        for driver in ("", "anticipating", "evading"):
+            for name, perception in eyes.items():
+                key, label = (f"{name}_{driver}", f"{perception}, {driver}") if driver else (name, perception)
+                met = counted([one for one in parts_of(result)[0] if one.perception == label])
+                yield f"{key}_crash", _count(met)
+                for field, head in _PACE.items():
+                    yield f"{key}_{field}", rows[label][head]
+                yield f"{key}_brake_mean", rows[label][_PACE["brake"]].partition(" ")[0]
 
 
 def _real() -> Iterator[tuple[str, str]]:

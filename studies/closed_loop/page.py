@@ -29,7 +29,7 @@ def committed(plan: Path) -> tuple[Path, CampaignResult]:
     campaign = read_toml(plan, Campaign, SettingsError)
     folder = PAGE.with_suffix("") / slug(campaign.name)
     files = [folder / f"{what}.csv" for what in ("results", "controls", "careful")]
-    parts = [tuple(read_results([file]).values()) if file.is_file() else () for file in files]
+    parts = [tuple(read_results([file], whole=False).values()) if file.is_file() else () for file in files]
     return folder, CampaignResult(campaign, *parts, made=0, seconds=0.0)
 
 

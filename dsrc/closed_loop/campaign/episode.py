@@ -253,7 +253,8 @@ def result_of(key: str, job: EpisodeJob, log: EpisodeLog) -> EpisodeResult:
         outcome=log.outcome.value,
         message=log.message,
         key=key,
-        metrics={name: None if value != value else float(value) for name, value in values.items()},
+        # As results.csv has them, so that tables of a campaign and of its file are the same.
+        metrics={name: None if value != value else float(f"{value:.6g}") for name, value in values.items()},
         fault=faults_text(job.faults),
         defence=",".join(job.defence),
     )

@@ -74,10 +74,19 @@ class BrowserPage:
     def wait_for(self, script: str, timeout_s: float) -> None:
         """Wait until a JavaScript expression is true; TimeoutError after `timeout_s`."""
         end = time.monotonic() + timeout_s
-        while not self.evaluate(f"Boolean({script})"):
+        while not self._holds(script):
             if time.monotonic() > end:
                 raise TimeoutError(f"the page did not get ready: {script}")
             time.sleep(0.1)
+
+    def _holds(self, script: str) -> bool:
+        try:
+            return bool(self.evaluate(f"Boolean({script})"))
+        except RuntimeError as error:
+            # A page that goes elsewhere takes the script with it.
+            if "navigated" not in str(error) and "context" not in str(error):
+                raise
+            return False
 
     def png(self) -> bytes:
         """PNG of the page."""

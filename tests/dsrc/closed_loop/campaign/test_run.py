@@ -69,8 +69,10 @@ def test_truth_arrives_and_the_blind_crash(driven: Path) -> None:
 
 def test_a_campaign_that_was_driven_drives_nothing_again(driven: Path) -> None:
     before = (driven / "results.csv").read_bytes()
-    assert run_campaign(PLAN, driven).made == 0
+    again = run_campaign(PLAN, driven)
+    assert again.made == 0
     assert (driven / "results.csv").read_bytes() == before
+    assert read_results([driven / "results.csv"]) == {one.key: one for one in again.results}, "to the last digit"
 
 
 def test_a_lost_episode_comes_back_with_the_same_bytes(driven: Path) -> None:
