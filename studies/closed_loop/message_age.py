@@ -43,7 +43,10 @@ DETECT_EVERY_S = 0.2
 REACH_M = (50.0, 25.0)
 """Ahead and aside of the ego: within the detector's range."""
 COLUMNS = ("scenario", "seed", "kind", "delay_s", "outcome", "time_s", "age_s", "ap_50", "ap_30")
-HEAD = ("helpers send", "delay, s", "age, s", "episodes", "crashes, %", "time, s", "AP@0.3, %", "AP@0.5, %")
+HEAD = (
+    *("helpers send", "delay, s", "age, s", "episodes", "crashes, %", "time, s", "AP@0.3, %", "AP@0.5, %"),
+    "less not moved",
+)
 
 
 def main() -> None:
@@ -118,10 +121,14 @@ def near(boxes: Boxes) -> np.ndarray:
 
 
 def table(rows: list[dict[str, str]]) -> Iterator[tuple[str, ...]]:
-    """Yield the lines of the table, over the episodes that all of them have: each with its 95 % intervals."""
+    """Yield the lines of the table, over the episodes that all of them have: each with its 95 % intervals.
+
+    Less not moved: AP@0.5 less that of boxes as they were measured, episode by episode, as old.
+    """
     driven = [(row["scenario"], row["seed"]) for row in rows]
     whole = {one for one in driven if driven.count(one) == len(KINDS) * len(DELAYS_S) - 1}  # nothing is stale at once
     rows = [row for row in rows if (row["scenario"], row["seed"]) in whole]
+    still = {(row["scenario"], row["seed"]): float(row["ap_50"]) for row in rows if row["kind"] == "stale"}
     for kind, delay_s in product(KINDS, DELAYS_S):
         own = [row for row in rows if (row["kind"], row["delay_s"]) == (kind, str(delay_s))]
         if not own:
@@ -131,7 +138,9 @@ def table(rows: list[dict[str, str]]) -> Iterator[tuple[str, ...]]:
         aps = (mean([float(row[name]) for row in own]) for name in ("ap_30", "ap_50"))
         age_s = mean([float(row["age_s"]) for row in own]).value
         numbers = (shown(crashed, 100.0, 0), shown(times, 1.0, 1), *(shown(ap, 100.0, 1) for ap in aps))
-        yield NAMES[kind], f"{delay_s:g}", f"{age_s:.2f}", str(len(own)), *numbers
+        more = mean([float(row["ap_50"]) - still[row["scenario"], row["seed"]] for row in own])
+        gain = shown(more, 100.0, 1) if delay_s > 0.0 and kind != "stale" else ""
+        yield NAMES[kind], f"{delay_s:g}", f"{age_s:.2f}", str(len(own)), *numbers, gain
 
 
 def shown(value: Estimate, scale: float, digits: int) -> str:
