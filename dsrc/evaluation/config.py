@@ -53,8 +53,9 @@ from dsrc.detectors.texts import NO_COMMAND, is_there, kind_of, named, split_nam
 from dsrc.faults.condition import faults_of, frame_condition, settled
 from dsrc.messages.defences import Defence, parse_defence
 from dsrc.models.settings import ModelSettings
-from dsrc.options.detection import MESSAGES, SINGLE_DEFENCES, BenchmarkOptions, Comparison
+from dsrc.options.detection import BenchmarkOptions, Comparison
 from dsrc.options.fields import RENAMED
+from dsrc.options.told import MESSAGES, SINGLE_DEFENCES
 from sensors.corruptions import Condition, conditions_of
 from sim.errors import SettingsError, complaint, did_you_mean, option
 from sim.radio import IDEAL, ChannelSpec, Radio, get_channel

@@ -22,8 +22,8 @@ from dsrc.evaluation.results import CLEAN, Row, summary_rows
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, TrainedDetector, fitting_kinds, run_plan
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Evaluation
-from dsrc.options.driving import NO_DEFENCE
 from dsrc.options.fields import takes_fields
+from dsrc.options.told import NO_DEFENCE
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import write_figure
 from sim.errors import SettingsError, complaint

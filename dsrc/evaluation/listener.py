@@ -20,7 +20,7 @@ from dsrc.messages.message import Message, Objects, Told, as_detections, as_obje
 from dsrc.messages.seen_space import View
 from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
-from dsrc.options.detection import BOXES, CPM
+from dsrc.options.told import BOXES, CPM
 from sensors.corruptions import Condition, ego_of
 from sensors.frame import Frame
 from sim.boxes import Boxes
@@ -60,7 +60,7 @@ class Listener:
 
     Args:
         detector: each of its agents detects alone, see `dsrc.messages.message.tells_boxes`.
-        messages: of `dsrc.options.detection.MESSAGES`; "" for the boxes that the detector finds in the clouds that
+        messages: of `dsrc.options.told.MESSAGES`; "" for the boxes that the detector finds in the clouds that
             arrived, whose bytes are those of a detector with late fusion.
         condition: its attacks act.
         seed: of the drive.

@@ -34,8 +34,8 @@ from dsrc.evaluation.results import CLEAN, condition_title
 from dsrc.evaluation.runner import BenchmarkResult, CaseResult, fitting_kinds, run_plan
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Stressing
-from dsrc.options.driving import NO_DEFENCE
 from dsrc.options.fields import takes_fields
+from dsrc.options.told import NO_DEFENCE
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import WIDTH_IN, figure_style, panels, styles_of, write_figure
 from dsrc.tables.files import csv_text, json_text

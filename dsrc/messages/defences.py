@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dsrc.messages.message import Message, near_any
 from dsrc.messages.seen_space import LOW_M, View
-from dsrc.options.driving import DEFENCES, NO_DEFENCE
+from dsrc.options.told import DEFENCES, NO_DEFENCE
 from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint, did_you_mean
 from sim.geometry import wrap_angle
@@ -111,7 +111,7 @@ class Defences:
     """Defences of an ego over an episode.
 
     Attributes:
-        names: of `dsrc.options.driving.DEFENCES`.
+        names: of `dsrc.options.told.DEFENCES`.
     """
 
     names: Defence

@@ -36,7 +36,7 @@ class Inbox:
 
     Args:
         faults: of the episode; its attacks act here.
-        defence: names of `dsrc.options.driving.DEFENCES`.
+        defence: names of `dsrc.options.told.DEFENCES`.
     """
 
     def __init__(self, faults: Faults, defence: Defence) -> None:

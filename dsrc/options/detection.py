@@ -21,6 +21,7 @@ from dsrc.options.fields import (
     Folder,
     choice,
 )
+from dsrc.options.told import MESSAGES, NO_DEFENCE, SINGLE_DEFENCES
 
 Checkpoint = Annotated[str, arg(metavar="[NAME=]DETECTOR")]
 """A detector file, `FILE.onnx`, `module:Class`, `pipe:COMMAND ...` or `tcp://localhost:PORT`, see `dsrc.detectors`."""
@@ -31,13 +32,8 @@ AutoEngine = Literal["auto", "fused", "bf16", "compiled", "plain"]
 Device = Literal["cpu", "cuda"]
 Height = Annotated[str, arg(metavar="{recorded,auto,METRES}")]
 """Ground under the clouds, see `dsrc.detectors.levelled`."""
-BOXES, CPM = "boxes", "cpm"
-MESSAGES = (BOXES, CPM, "cpm-dynamics", "cpm-distance")
-"""What helpers tell that detect alone: all boxes that they find, or ETSI's messages, see `dsrc.messages.cpm`."""
 Messages = Annotated[tuple[str, ...], choice(MESSAGES, several=True)]
-SINGLE_DEFENCES = ("agreement", "free-space")
-"""Defences that need no message but those of one instant."""
-DefenceTexts = Annotated[tuple[str, ...], choice(("none", *SINGLE_DEFENCES), several=True)]
+DefenceTexts = Annotated[tuple[str, ...], choice((NO_DEFENCE, *SINGLE_DEFENCES), several=True)]
 Channels = Annotated[tuple[str, ...], choice(CHANNELS, several=True)]
 PROTOCOLS = (
     "opencood",
@@ -173,7 +169,7 @@ class Stressing(msgspec.Struct, frozen=True, kw_only=True):
     family: Family = "physical"
     fault: FaultTexts = ()
     messages: Annotated[str | None, choice(MESSAGES)] = None
-    defence: Annotated[str, choice(("none", *SINGLE_DEFENCES))] = "none"
+    defence: Annotated[str, choice((NO_DEFENCE, *SINGLE_DEFENCES))] = "none"
     share: float = 0.5
     quick: bool = False
     frames: int | None = None

@@ -7,12 +7,10 @@ from tyro.conf import Positional, arg
 
 from dsrc.options.detection import AutoEngine
 from dsrc.options.fields import CHANNELS, CORRUPTIONS, Family, FaultTexts, File, changed_radios, choice
+from dsrc.options.told import BOXES, DEFENCES, MESSAGES, NO_DEFENCE
 
 DRIVERS = ("planning", "anticipating", "evading", "careful", "MODULE:CLASS", "PROCESS")
-NO_DEFENCE = "none"
-DEFENCES = ("agreement", "free-space", "motion", "trust")
-"""Defences by name, in the order in which they act."""
-_TOLD = ("late", "cpm", "cpm-dynamics", "cpm-distance")
+_TOLD = ("late", *(name for name in MESSAGES if name != BOXES))
 PERCEPTIONS = ("truth", "sight", "team-sight", "ego", "team", *_TOLD, "FILE", "MODEL.json", "MODULE:CLASS")
 
 

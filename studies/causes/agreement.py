@@ -5,9 +5,10 @@ its position in the drive, a missed object by its id, a false box by its place i
 its evidence. Those of draw 45 were given from pictures, points, boxes and scores before any cause was looked at, and
 then showed what to mend; those of draw 46 were given after that, with the rules known.
 
+The results are those of `dsrc evaluate data/dsrc-sim/test --checkpoint dsrc/checkpoints/small-dsrc.pt --corruption snow
+fog --frames 16 --no-ego-alone --fault "loss:0.3 + delay:0.2" --out runs/causes`.
+
 Usage:
-    dsrc evaluate data/dsrc-sim/test --checkpoint dsrc/checkpoints/small-dsrc.pt --corruption snow fog --frames 16 \
-        --no-ego-alone --fault "loss:0.3 + delay:0.2" --out runs/causes
     python -m studies.causes.agreement runs/causes
 """
 

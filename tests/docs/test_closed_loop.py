@@ -35,6 +35,8 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         "background-traffic",
         "pedestrians-and-bicycles",
         "attacks",
+        "what-cooperation-gives",
+        "what-cooperation-gives-with-detectors",
     }
     assert {name.partition("/")[0] for name, _ in places} == published
     assert all(quoted) and all(shown == blocks[name] for name, shown in sum(quoted, places))

@@ -53,8 +53,9 @@ from dsrc.faults.condition import Disturbance, settled
 from dsrc.faults.fault import Faults, faults_text, parse_faults
 from dsrc.messages.defences import Defence, parse_defence
 from dsrc.options.detection import AutoEngine
-from dsrc.options.driving import NO_DEFENCE, DriveOptions
+from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import RENAMED, changed_radios
+from dsrc.options.told import NO_DEFENCE
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
 from sim.catalog.load import load_scenario, scenarios_in
 from sim.encounters import ENCOUNTERS

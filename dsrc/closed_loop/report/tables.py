@@ -368,7 +368,11 @@ def _scores(results: Sequence[EpisodeResult]) -> Table:
         "Comfort: share of the steps within nuPlan's bounds. Time: of arrivals. First sight of the conflict actor and "
         "its track: s after the start, of the ego for a perception without messages, of the team for one with them."
     )
-    return _table("scores", SCORE_HEADS, score_rows(results), text, left=2)
+    rows = score_rows(results)
+    # Results of earlier code lack metrics of today.
+    known = [at for at in range(len(SCORE_HEADS)) if not rows or any(row[at] for row in rows)]
+    heads, rows = [SCORE_HEADS[at] for at in known], [tuple(row[at] for at in known) for row in rows]
+    return _table("scores", heads, rows, text, left=2)
 
 
 def _hazards(results: Sequence[EpisodeResult]) -> Table:

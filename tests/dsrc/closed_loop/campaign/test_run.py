@@ -5,6 +5,7 @@ import dataclasses
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -357,7 +358,7 @@ def test_a_perception_that_fails_at_once_is_a_row_and_its_message_is_shown(tmp_p
     assert "broken: perception failed in 1 of 1 episodes: " in summary_table(result).caption
 
 
-def test_an_agent_that_does_not_exist_ends_the_campaign(tmp_path: Path) -> None:
+def test_an_agent_that_does_not_exist_fails_its_episode(tmp_path: Path) -> None:
     plan = replace(
         PLAN,
         scenarios=("lta_truck",),
@@ -368,8 +369,8 @@ def test_an_agent_that_does_not_exist_ends_the_campaign(tmp_path: Path) -> None:
         perceptions=(PerceptionSpec(name="team"),),
         loop=LoopSettings(duration_s=0.5),
     )
-    with pytest.raises(SettingsError, match=r"expected ids .* found 999999"):
-        run_campaign(plan, tmp_path)
+    (row,) = (one for one in run_campaign(plan, tmp_path).results if not one.clean)
+    assert row.outcome == "perception failed" and re.search("expected ids .* found 999999", row.message)
 
 
 def test_a_log_is_not_repeated_by_another_detector(driven: Path, tmp_path: Path) -> None:
