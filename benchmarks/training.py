@@ -296,10 +296,10 @@ def main(
     facts: dict[str, Any] = {"samples": SAMPLES, "bfloat16": bfloat16, "recipe": recipe, "device": device}
     facts["resident"] = resident
     facts |= {"threads": 1, "cores": os.cpu_count()}
+    busy = steps["dsrc"].busy(trace) if device != "cpu" or trace is not None else None
     if device != "cpu":
+        facts["busy"] = round(busy or 0.0, 3)
         facts |= {f"wall_ms_{name}": round(1e3 * timing.wall_s, 1) for name, timing in timings.items()}
-    if device != "cpu" or trace is not None:
-        facts["busy"] = round(steps["dsrc"].busy(trace), 3)
     print(json.dumps(figures_of(steps, timings) | facts | {"others_load_cores": round(others, 2)}))
 
 

@@ -160,7 +160,7 @@ def write_file(path: Path, content: Content, *, edited: bool = False) -> None:
 def parts_of(content: Content) -> Iterator[bytes | bytearray]:
     """Return the parts of a content, text as UTF-8."""
     whole = content.encode() if isinstance(content, str) else content
-    return iter([whole]) if isinstance(whole, bytes | bytearray) else whole
+    return iter([whole]) if isinstance(whole, bytes | bytearray | memoryview) else whole
 
 
 @contextmanager

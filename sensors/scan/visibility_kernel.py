@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensors.compiled import compiled
+from sensors.optics import beams
 from sensors.optics.beams import BLOCK
 from sensors.scan import angular_windows
 from sensors.scan.angular_windows import angles_of, arc_of, between, runs_of
 
 _GOLDEN = 0.6180339887
 _GROW_M = 0.05
-_loop = compiled(angular_windows)
+_loop = compiled(angular_windows, beams)
 
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -7,7 +7,10 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-WAITS = ("aten.nonzero", "aten._local_scalar_dense", "aten.item", "aten.masked_select", "aten.unique", "by a mask")
+WAITS = (
+    *("aten.nonzero", "aten._local_scalar_dense", "aten.item", "aten.masked_select", "aten.unique", "aten._unique"),
+    *("aten.bincount", "aten.equal", "aten.repeat_interleave.Tensor", "by a mask"),
+)
 
 
 class Operations(TorchDispatchMode):
