@@ -64,6 +64,10 @@ class View(ServeOptions, frozen=True, kw_only=True):
             raise SettingsError(complaint("view", "size", "16 to 8192 px each", str(self.size)))
         if self.frames < 1:
             raise SettingsError(complaint("view", "frames", "at least 1", self.frames))
+        for name, ending in (("picture", ".png"), ("animation", ".gif")):
+            path: File | None = getattr(self, name)
+            if path is not None and path.suffix.lower() != ending:
+                raise SettingsError(complaint("view", name, f"a file that ends with {ending}", str(path)))
         self._refuse(self._unused())
 
     def _unused(self) -> dict[str, str]:

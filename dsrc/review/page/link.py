@@ -16,6 +16,7 @@ from dsrc.review.page.controls import Choice, Control, Slider
 from dsrc.review.page.panels import CONTROLS
 from dsrc.review.page.protocol import Shown
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
+from dsrc.review.view import DetectionDetails, FrameView
 from sensors.corruptions import CLEAN, Changes, Condition, parse_agents
 from sim.errors import SettingsError, UserError, complaint
 
@@ -130,7 +131,8 @@ def linked_views(
         start: what is shown where the link says nothing; None for the first frame as recorded.
 
     Raises:
-        SettingsError: a part of the link is wrong.
+        SettingsError: a part of the link is wrong, or selects what does not exist.
+        UserError: the frame of a selection cannot be read.
     """
     links = links_of(link)
     for name in (name for one in links for name in unknown_names(one)):
@@ -139,7 +141,35 @@ def linked_views(
     for _, _, complaints in views:
         if complaints:
             raise SettingsError(complaints[0])
+    for state, _, _ in views:
+        _check_selection(model, state)
     return [(state, pose) for state, pose, _ in views]
+
+
+def no_object(model: ReviewModel, state: ReviewState) -> str:
+    """Complaint on a selected object that is in no frame of its drive."""
+    return complaint("link", "object", f"one of the objects of {model.title(state.drive)}", state.object_id)
+
+
+def no_detection(state: ReviewState, view: FrameView) -> str:
+    """Complaint on a selected detection that a frame as drawn lacks."""
+    known = f"0 to {view.detected - 1}" if view.detected else "none"
+    expected = f"{known}, with a score of {state.threshold:g} or more in frame {view.index}"
+    return complaint("link", "detection", expected, state.detection)
+
+
+def _check_selection(model: ReviewModel, state: ReviewState) -> None:
+    if state.detection is not None:
+        view = model.view(state)
+        if not isinstance(view.details, DetectionDetails):
+            raise SettingsError(no_detection(state, view))
+    source, number, history = model.sources[state.drive], state.object_id, model.histories[state.drive]
+    if number is None or number in model.stores[state.drive].recorded(state.frame).truth.object_id:
+        return
+    for row in range(source.first, len(source)):
+        history.read(row)
+    if source.ended and history.lacks(number):
+        raise SettingsError(no_object(model, state))
 
 
 def _text(model: ReviewModel, field: str, value: Any) -> str:

@@ -22,7 +22,7 @@ from dsrc.review.page.browser import AddressBar
 from dsrc.review.page.cameras import BrowserCamera, CameraPose
 from dsrc.review.page.cells import OPEN_KEY, CellPair, cells_of, compare_address
 from dsrc.review.page.commands import COMMANDS, Command, keys_table
-from dsrc.review.page.link import write_link
+from dsrc.review.page.link import no_detection, no_object, write_link
 from dsrc.review.page.panels import PANELS
 from dsrc.review.page.panels.legend import LegendPanel
 from dsrc.review.page.protocol import GoesOn, Shown
@@ -35,7 +35,7 @@ from dsrc.review.texts import quoted
 from dsrc.review.view import FrameView
 from dsrc.review.worker import JobProgress, Latest, Worker
 from sensors.corruptions import CLEAN
-from sim.errors import UserError, complaint
+from sim.errors import UserError
 
 log = logging.getLogger(__name__)
 
@@ -264,13 +264,13 @@ class Session:
             self.worker.read_over(history)
             self._busy = True
         elif number is not None and source.ended and history.lacks(number):
-            self._let_go("object", f"one of the objects of {self.model.title(state.drive)}", number)
+            self._let_go(no_object(self.model, state))
         with self.using_model:
             return over_time(self.model, state, view)
 
-    def _let_go(self, name: str, expected: str, found: int) -> None:
+    def _let_go(self, why: str) -> None:
         """Tell that what is selected does not exist, and select nothing."""
-        self.tell("\n".join(filter(None, (self._told, complaint("link", name, expected, found)))))
+        self.tell("\n".join(filter(None, (self._told, why))))
         self.gui.main_panel.expand()
         self.update(object_id=None, detection=None)
 
@@ -495,9 +495,7 @@ class Session:
             # After the first points: rebuilding a city takes longer than drawing.
             self._place_world(state.drive)
             if first and state.detection is not None and view.details is None and not view.notice:
-                known = f"0 to {view.detected - 1}" if view.detected else "none"
-                expected = f"{known}, with a score of {state.threshold:g} or more in frame {view.index}"
-                self._let_go("detection", expected, state.detection)
+                self._let_go(no_detection(state, view))
             self._read_ahead(state)
         except Exception as error:
             self._rest_at = None

@@ -83,12 +83,17 @@ def test_a_picture_shows_what_options_and_link_say(data: Path, drawn: list[tuple
         ({"picture": "p.png", "frame": 3}, "frame: expected 0 to 2, found 3"),
         ({"picture": "p.png", "corruption": "fog", "severity": 9}, "severity"),
         ({"picture": "p.png", "link": "frame=9"}, "link: frame: expected 0 to 2, found 9"),
+        ({"picture": "p.png", "link": "object=77777"}, "link: object: expected one of the objects of a, found 77777"),
+        ({"out": "page.html", "link": "object=77777"}, "link: object: expected one of the objects of a, found 77777"),
+        ({"out": "page.html", "link": "detection=999"}, "link: detection: expected none, .* in frame 0, found 999"),
+        ({"picture": "p.jpg"}, "picture: expected a file that ends with .png, found .*p.jpg"),
+        ({"animation": "a.mp4"}, "animation: expected a file that ends with .gif, found .*a.mp4"),
     ],
 )
 def test_what_would_do_nothing_is_refused(
     data: Path, drawn: list[tuple], tmp_path: Path, options: dict[str, Any], told: str
 ) -> None:
-    paths = {name: tmp_path / options[name] for name in ("out", "picture") if name in options}
+    paths = {name: tmp_path / options[name] for name in ("out", "picture", "animation") if name in options}
     with pytest.raises(SettingsError, match=told):
         View(data=data, **{**options, **paths}).run()
     assert not drawn and not list(tmp_path.iterdir())

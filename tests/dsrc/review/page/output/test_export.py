@@ -163,6 +163,18 @@ def test_a_link_that_says_nothing_known_is_one_line(model: ReviewModel, link: st
         linked_views(model, link)
 
 
+@pytest.mark.parametrize("exists", ["object=1003", "detection=4", "frame=11&object=1000"])
+def test_a_selection_that_does_not_exist_is_refused_where_nothing_could_be_told(
+    model: ReviewModel, exists: str
+) -> None:
+    ((state, _),) = linked_views(model, exists)
+    assert state.selects
+    with pytest.raises(SettingsError, match="link: object: expected one of the objects of street, found 77"):
+        linked_views(model, "object=77")
+    with pytest.raises(SettingsError, match=r"link: detection: expected 0 to 4, with .* in frame 0"):
+        linked_views(model, "detection=5&object=1003")
+
+
 def test_an_address_is_a_link_and_that_of_cells_has_no_one_picture(model: ReviewModel) -> None:
     address = "http://localhost:8080/compare?cell=frame%3D1&cell=frame%3D2%26pair%3Da.1"
     assert [state.frame for state, _ in linked_views(model, address)] == [1, 2]
