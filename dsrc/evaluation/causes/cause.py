@@ -81,7 +81,7 @@ class ErrorCause(msgspec.Struct, frozen=True, kw_only=True):
         points: on the object, of the agents that take part, in the clean frame; None without an object.
         points_left: after the corruption.
         hidden_from: agents that take part and have no point on it in the clean frame.
-        hidden_by: object ids of what hides it from each of these; -1 for what is no road user.
+        hidden_by: object ids of what hides it from each of these; None for what is no road user.
         helper: the agent whose pose or message is the cause; None without one.
     """
 
@@ -95,7 +95,7 @@ class ErrorCause(msgspec.Struct, frozen=True, kw_only=True):
     points: int | None = None
     points_left: int | None = None
     hidden_from: tuple[int, ...] = ()
-    hidden_by: tuple[int, ...] = ()
+    hidden_by: tuple[int | None, ...] = ()
     helper: int | None = None
 
 
@@ -221,9 +221,8 @@ class _Judged:
             if not (low[0] <= x <= low[3] and low[1] <= y <= low[4]):
                 return "out of range", f"at {x:.0f}, {y:.0f} m it is outside the range of the detector", None, None
         if (box := int(self.found_by[row])) >= 0:
-            short = (
-                f"score {self.table.score[box]:.2f} is below {self.score:g} by {self.score - self.table.score[box]:.2f}"
-            )
+            score, digits = float(self.table.score[box]), _digits(float(self.table.score[box]), self.score)
+            short = f"score {score:.{digits}f} is below {self.score:g} by {self.score - score:.{digits}f}"
             return "below threshold", short, box, None
         beside = self.pairs.detection[(self.pairs.truth == row) & (self.pairs.iou >= _NEAR)]
         # One of too low a score says more than its absence, but where points are few.
@@ -232,7 +231,8 @@ class _Judged:
             box = int(max(beside, key=lambda one: (bool(self.kept[one]), self._iou(int(one), row))))
             kind, why = self._placed(box, row)
             if not self.kept[box]:
-                why += f", and its score {self.table.score[box]:.2f} below {self.score:g}"
+                score = float(self.table.score[box])
+                why += f", and its score {score:.{_digits(score, self.score)}f} below {self.score:g}"
             return kind, why, box, self._mover(box, row)[1]
         before, main = self.clean.sum(axis=0)[row], self._main(row)
         if before == 0:
@@ -315,7 +315,8 @@ class _Judged:
 
     def _placed(self, box: int, row: int) -> tuple[MissedKind, str]:
         """Kind and sentence of a box that is beside its object."""
-        iou = f"IoU {self._iou(box, row):.2f} is below {self.iou:g}"
+        overlap = self._iou(box, row)
+        iou = f"IoU {overlap:.{_digits(overlap, self.iou)}f} is below {self.iou:g}"
         kind, helper, shift = self._mover(box, row)
         turn = abs((self.boxes.yaw[box] - self.truth.yaw[row] + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
         turned = self.boxes.array[box : box + 1].copy()
@@ -373,22 +374,23 @@ class _Judged:
     def _lost(self, agent: int) -> bool:
         return self.known.ages.get(agent, 0.0) is None
 
-    def _hidden_by(self, k: int, row: int) -> int:
+    def _hidden_by(self, k: int, row: int) -> int | None:
         place = self.frame.agents[self.rows[k]].sweep.world_from_lidar[:3, 3]
         by = hidden_by(place, self.frame.truth, int(self.objects[row]), self.team[k])
-        return -1 if by < 0 else int(self.frame.truth.object_id[by])
+        return None if by < 0 else int(self.frame.truth.object_id[by])
 
-    def _hidden(self, hidden: Mapping[int, int], row: int) -> str:
+    def _hidden(self, hidden: Mapping[int, int | None], row: int) -> str:
         """What hides an object from which agents."""
-        groups: dict[int, list[int]] = {}
+        groups: dict[int | None, list[int]] = {}
         for agent, by in hidden.items():
             groups.setdefault(by, []).append(agent)
         every = len(hidden) == len(self.rows) - (int(self.truth.object_id[row]) in self.team)
         texts = []
         for by, agents in groups.items():
-            label = CLASSES[int(self.all.label[np.searchsorted(self.all.object_id, by)])] if by >= 0 else ""
-            what = f"behind the {label} {by}" if by >= 0 else "out of reach, or behind what is no road user,"
-            whom = "every agent" if every and len(groups) == 1 else ", ".join(map(self._who, agents))
+            what = "out of reach, or behind what is no road user,"
+            if by is not None:
+                what = f"behind the {CLASSES[int(self.all.label[np.searchsorted(self.all.object_id, by)])]} {by}"
+            whom = "every agent" if every and len(groups) == 1 < len(agents) else ", ".join(map(self._who, agents))
             texts.append(f"{what} for {whom}")
         return "; ".join(texts)
 
@@ -424,6 +426,11 @@ class _Judged:
         if agent == self.ego:
             return "the ego"
         return f"roadside unit {-agent}" if agent < 0 else f"helper {agent}"
+
+
+def _digits(value: float, limit: float) -> int:
+    """Least number of digits, two or more, with which a value below a limit reads as below it."""
+    return next((digits for digits in range(2, 9) if float(f"{value:.{digits}f}") < limit), 2)
 
 
 def _long(more: float) -> str:

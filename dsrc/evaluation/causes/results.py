@@ -87,7 +87,7 @@ def write_causes(
                 made: dict[str, Any] = msgspec.structs.asdict(cause)
                 box = table.truth if cause.error == "missed" else table.boxes
                 row = cause.rank if cause.error == "false" else int(np.argmax(table.object_id == cause.object_id))
-                lists = {name: " ".join(map(str, made[name])) for name in ("hidden_from", "hidden_by")}
+                lists = {name: " ".join(map(_text, made[name])) for name in ("hidden_from", "hidden_by")}
                 place: dict[str, Scalar] = {"drive": path.name, "frame": frame.index, "position": position}
                 distance = {"distance_m": round(float(np.hypot(*box[row, :2])), 2)}
                 who = {"method": entry.case.method, "condition": condition.label}
@@ -102,6 +102,10 @@ def _receiver(drive: Drive, team: Sequence[int], case: Case, settings: DetectorS
     if len(team) == 1 or (spec.decisive() == _AT_ONCE and not any(fault.radio for fault in faults_of(condition))):
         return None
     return receiver_of(drive, team[0], condition, spec, settings, seed)
+
+
+def _text(number: int | None) -> str:
+    return "-" if number is None else str(number)  # -1 is a roadside unit
 
 
 def _moves(fault: Fault) -> bool:

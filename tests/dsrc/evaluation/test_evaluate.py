@@ -66,6 +66,9 @@ def test_every_error_of_an_evaluation_has_a_cause(done: tuple[Evaluation, list[R
         expected[run.method, label, "missed"], expected[run.method, label, "false"] = found.fn, found.fp
     assert counts == +expected and sum(counts.values()) > 0
     assert {line["kind"] for line in lines} <= {*MISSED, *FALSE} and all(line["sentence"] for line in lines)
+    hiding = [(line["hidden_from"].split(), line["hidden_by"].split()) for line in lines]
+    assert all(len(agents) == len(by) for agents, by in hiding)
+    assert {one for _, by in hiding for one in by if not one.isdecimal()} == {"-"}
     tables = cause_tables(config.out)
     total = sum(row.cells[1] for table in tables for row in table.rows)
     assert total == len(lines)

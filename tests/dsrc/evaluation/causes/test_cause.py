@@ -100,6 +100,17 @@ def test_a_box_just_below_the_threshold_says_by_how_much_and_what_hid_the_object
     assert (cause.hidden_from, cause.hidden_by) == ((EGO,), (TRUCK,))
 
 
+def test_a_score_and_an_overlap_have_the_digits_that_tell_them_from_the_threshold() -> None:
+    cause = the_one(frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, (OPEN_BOX[0], 0.2996)])
+    assert cause.sentence.startswith("score 0.2996 is below 0.3 by 0.0004")
+    cause = the_one(frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, (OPEN_BOX[0], 0.298)])
+    assert cause.sentence.startswith("score 0.298 is below 0.3 by 0.002")
+    # A box that is moved by a third of its length has an IoU of 0.5.
+    for x, overlap in ((1.502, "0.4995"), (1.51, "0.498")):
+        for one in causes(frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, beside(OPEN_BOX, x=x)]):
+            assert f"IoU {overlap} is below 0.5" in one.sentence
+
+
 def test_few_points_are_counted_against_the_clean_frame() -> None:
     of = frame(OFTEN)
     known = table(of, [TRUCK_BOX, HIDDEN_BOX])
@@ -132,12 +143,12 @@ def test_an_ego_alone_misses_what_a_truck_hides_from_it() -> None:
     known = Circumstances(team=(EGO,))
     cause = the_one(frame(OFTEN), [TRUCK_BOX, OPEN_BOX], known)
     assert (cause.kind, cause.hidden_from, cause.hidden_by) == ("hidden", (EGO,), (TRUCK,))
-    assert cause.sentence == "no agent that takes part has a point on it; behind the truck 1002 for every agent"
+    assert cause.sentence == "no agent that takes part has a point on it; behind the truck 1002 for the ego"
 
 
 def test_what_no_road_user_hides_is_out_of_reach_or_behind_something_else() -> None:
     cause = the_one(frame({**OFTEN, OPEN: (0, 0)}), [TRUCK_BOX, HIDDEN_BOX])
-    assert cause.kind == "hidden" and cause.hidden_by == (-1, -1) and cause.hidden_from == (EGO, HELPER)
+    assert cause.kind == "hidden" and cause.hidden_by == (None, None) and cause.hidden_from == (EGO, HELPER)
     assert cause.sentence.endswith("out of reach, or behind what is no road user, for every agent")
 
 
