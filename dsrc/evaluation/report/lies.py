@@ -14,8 +14,9 @@ from dsrc.tables.table import Column, Table, TableRow
 _ABOUT = (
     f"AP in bird's-eye view. Missed: of the true boxes those without a detection of a score of at least {SURE:g} and "
     "an overlap of 0.5; false boxes: such detections that hit none, in a frame. Attacks refused: of the false "
-    "objects told those refused. Wrongly refused: of the messages of helpers that did not lie those of which an object "
-    "was refused. Both are unknown where helpers tell no boxes. Sent: by all helpers for a frame."
+    "objects told those refused. Wrongly refused: of the messages without a lie, those of liars with nothing to remove "
+    "among them, those of which an object was refused. Both are unknown where helpers tell no boxes. Sent: by all "
+    "helpers for a frame, if all were honest."
 )
 
 
@@ -33,7 +34,7 @@ def lie_table(rows: Sequence[Row], title: str = "Attacks and defences") -> Table
             if (row := find_row(rows, method, kind)) is not None:
                 cells = (method, *_numbers(row.metrics), f"{1e-3 * (row.bytes_per_frame or 0.0):.2f}")
                 lines.append(TableRow(condition_title(kind), cells[: len(columns)]))
-    return Table("lies", title, "attack", tuple(columns), tuple(lines), caption=_ABOUT, grouped=True)
+    return Table("lies", title, "attack", tuple(columns), tuple(lines), note=_ABOUT, caption=_ABOUT, grouped=True)
 
 
 def _numbers(metrics: dict[str, float]) -> list[str]:
