@@ -55,7 +55,7 @@ from dsrc.messages.defences import Defence, parse_defence
 from dsrc.models.settings import ModelSettings
 from dsrc.options.detection import BenchmarkOptions, Comparison
 from dsrc.options.fields import RENAMED
-from dsrc.options.told import MESSAGES, SINGLE_DEFENCES
+from dsrc.options.told import DEFENCES, MESSAGES, SINGLE_DEFENCES
 from sensors.corruptions import Condition, conditions_of
 from sim.errors import SettingsError, complaint, did_you_mean, option
 from sim.radio import IDEAL, ChannelSpec, Radio, get_channel
@@ -311,9 +311,7 @@ def check(plan: Benchmark, where: str) -> None:
                 check_height(f"{where}: {place}", value)
                 continue
             if field == "messages":
-                if value not in MESSAGES:
-                    hint = did_you_mean(str(value), MESSAGES)
-                    raise SettingsError(complaint(where, f"{place}.messages", " or ".join(MESSAGES), value, hint))
+                check_messages(str(value), f"{where}: {place}")
                 continue
             if field == "defence":
                 single_defence(str(value), f"{where}: {place}")
@@ -335,18 +333,23 @@ def check(plan: Benchmark, where: str) -> None:
         raise SettingsError(f"{where}: {error}") from None
 
 
+def check_messages(text: str, where: str) -> None:
+    """Raise SettingsError for what is none of `dsrc.options.told.MESSAGES`."""
+    if text not in MESSAGES:
+        raise SettingsError(complaint(where, "messages", "what helpers can tell", text, did_you_mean(text, MESSAGES)))
+
+
 def single_defence(text: str, where: str) -> Defence:
     """Return the defences of a text that need no message but those of one instant, see `parse_defence`.
 
     Raises:
         SettingsError: as `parse_defence`, or another one.
     """
-    names = parse_defence(text, where)
-    for name in names:
-        if name not in SINGLE_DEFENCES:
+    for name in map(str.strip, text.split(",")):
+        if name in DEFENCES and name not in SINGLE_DEFENCES:
             expected = f"{' or '.join(SINGLE_DEFENCES)}: frames are judged one by one"
             raise SettingsError(complaint(where, "defence", expected, f"{name}; it has a meaning in dsrc drive"))
-    return names
+    return parse_defence(text, where)
 
 
 def check_numbers(where: str, seed: int, frames: int | None) -> None:

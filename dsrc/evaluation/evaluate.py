@@ -11,7 +11,15 @@ from dsrc.detectors.levelled import height_in_use
 from dsrc.detectors.texts import named
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.causes.results import write_causes
-from dsrc.evaluation.config import Benchmark, DatasetSpec, DifferenceSpec, MethodSpec, check
+from dsrc.evaluation.config import (
+    Benchmark,
+    DatasetSpec,
+    DifferenceSpec,
+    MethodSpec,
+    check,
+    check_messages,
+    single_defence,
+)
 from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.figures.bars import corruption_bars
 from dsrc.evaluation.figures.curves import precision_recall_curves, reliability_curves
@@ -93,6 +101,10 @@ def plan_of_evaluation(config: Evaluation) -> Benchmark:
                 complaint("evaluate", "checkpoint", "names that differ", found, "; give names: name=path")
             )
         files[name] = path
+    for text in config.messages:
+        check_messages(text, "evaluate")
+    for text in config.defence:
+        single_defence(text, "evaluate")
     use = height_in_use("evaluate", config.height)
     if config.drop_lone_points:
         use["drop_lone_points"] = True

@@ -263,7 +263,8 @@ def _trained(text: str, method: MethodSpec, engine: str) -> TrainedDetector:
     for name in {"defence", "messages"} & method.use.keys():
         if not tells_boxes(detector):
             expected = "a detector whose agents tell boxes, as with messages of boxes and recorded heights"
-            raise SettingsError(complaint(text, name, expected, method.use[name]))
+            hint = "" if "messages" in method.use else '; add --messages boxes, in a plan messages = "boxes"'
+            raise SettingsError(complaint(text, name, expected, method.use[name], hint))
     sha256, settings = detector_sha256(text, detector), detector.settings
     close_detector(detector)
     meta = read_meta(Path(text)) if kind_of(text) == "file" else {}

@@ -19,7 +19,7 @@ from dsrc.data.drives import open_drives
 from dsrc.detectors.levelled import height_in_use
 from dsrc.detectors.texts import named
 from dsrc.evaluation.cache import read_cell
-from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check
+from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, check_messages, single_defence
 from dsrc.evaluation.detect import MethodResult, join_results
 from dsrc.evaluation.metrics.calibration import SURE, sure_counts, sure_errors
 from dsrc.evaluation.metrics.intervals import (
@@ -35,7 +35,6 @@ from dsrc.evaluation.runner import BenchmarkResult, CaseResult, fitting_kinds, r
 from dsrc.evaluation.stored import write_index
 from dsrc.options.detection import Stressing
 from dsrc.options.fields import takes_fields
-from dsrc.options.told import NO_DEFENCE
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.tables.figure import WIDTH_IN, figure_style, panels, styles_of, write_figure
 from dsrc.tables.files import csv_text, json_text
@@ -173,8 +172,9 @@ def _plans(config: Stressing) -> list[Benchmark]:
     (name, text), *_ = named([str(config.detector)])
     use = height_in_use("stress", config.height)
     if config.messages is not None:
+        check_messages(config.messages, "stress")
         use["messages"] = config.messages
-    if config.defence != NO_DEFENCE:
+    if single_defence(config.defence, "stress"):
         use["defence"] = config.defence
     groups = config.corrupted_agents
     drives = open_drives(config.data)

@@ -43,6 +43,7 @@ from dsrc.closed_loop.perception.open import (
     MODELLED,
     TELLING,
     TOGETHER,
+    WHO_TELLS,
     WITHOUT_SENSOR,
     open_perception,
     parse_perception,
@@ -421,7 +422,7 @@ def _check_faults(plan: Campaign, where: str) -> None:
             idle = next((f"'{fault.text}'" for fault in faults if not acts((fault,))), "all of it")
             expected = f"a perception that {idle} acts on, such as team"
             if any(one.attack for one in faults):
-                expected = f"a perception whose helpers tell boxes, {' or '.join(TELLING)}"
+                expected = WHO_TELLS
             raise SettingsError(complaint(where, f"fault '{text}'", expected, names))
     driven = [each for channel in plan.radios for each in plan.disturbed(channel)]
     for each in driven:
@@ -436,9 +437,8 @@ def _check_defences(plan: Campaign, where: str) -> None:
     if repeated := [text for text in found if found.count(text) > 1]:
         raise SettingsError(complaint(where, "defence", "texts that differ", repeated[0]))
     if set(found) - {NO_DEFENCE} and not any(one.kind in TELLING for one in plan.perceptions):
-        expected = f"a perception whose helpers tell boxes, {' or '.join(TELLING)}"
         names = ", ".join(one.name for one in plan.perceptions)
-        raise SettingsError(complaint(where, f"defence '{plan.defence[0]}'", expected, names))
+        raise SettingsError(complaint(where, f"defence '{plan.defence[0]}'", WHO_TELLS, names))
 
 
 def episodes_of(plan: Campaign) -> list[EpisodeJob]:

@@ -31,6 +31,7 @@ CPM = "cpm"
 CPMS = (CPM, *(f"{CPM}-{rule}" for rule in RULES))
 TELLING = (TEAM_SIGHT, LATE)
 """Helpers tell boxes, in which they can lie."""
+WHO_TELLS = f"a perception whose helpers tell boxes, {' or '.join(TELLING)} (ETSI's are not attacked in episodes)"
 MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
 
@@ -109,8 +110,7 @@ def open_perception(
     if name not in TELLING:
         attack = next((f"fault '{one.text}'" for one in faults if one.attack), "defence" if defences else "")
         if attack:
-            expected = f"a perception whose helpers tell boxes, {' or '.join(TELLING)}"
-            raise SettingsError(complaint("perception", attack, expected, text))
+            raise SettingsError(complaint("perception", attack, WHO_TELLS, text))
     sensed = any(one.needs for one in faults)
     if name in WITHOUT_SENSOR:
         given = {"corruption": corrupted, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}

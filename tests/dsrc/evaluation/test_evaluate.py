@@ -229,6 +229,9 @@ def test_checkpoints_are_named_by_their_file_or_by_hand(world: Path) -> None:
         ({"severity": 6}, "severity: expected 1 to 5, found 6"),
         ({"frames": 0}, "frames"),
         ({"engine": "fussed"}, "did you mean 'fused'"),
+        ({"messages": ("udp",)}, "^evaluate: messages: expected what helpers can tell, found udp; one of: boxes, cpm"),
+        ({"messages": ("cpm",), "defence": ("trust",)}, "^evaluate: defence: expected agreement or free-space"),
+        ({"defence": ("free-space",)}, "found free-space; add --messages boxes"),
     ],
 )
 def test_a_wrong_setting_is_named(world: Path, settings: dict[str, Any], message: str) -> None:

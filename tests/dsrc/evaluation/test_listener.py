@@ -127,7 +127,7 @@ def test_removed_road_users_have_no_point_and_a_false_pose_moves_the_sweep_alone
     np.testing.assert_allclose(apart, [0.0, 0.0, 4.0], atol=1e-9)
 
 
-@pytest.mark.parametrize("text", ["motion", "free-space,trust"])
+@pytest.mark.parametrize("text", ["motion", "trust", "free-space,trust"])
 def test_a_defence_that_needs_time_is_refused(text: str) -> None:
     with pytest.raises(SettingsError, match="agreement or free-space: frames are judged one by one"):
         single_defence(text, "evaluate")
