@@ -27,6 +27,7 @@ pytest.importorskip("jupyter_server_proxy")
 pytestmark = [
     pytest.mark.extra,
     pytest.mark.browser,
+    pytest.mark.slow,
     pytest.mark.skipif(find_chromium() is None, reason="needs Chromium"),
 ]
 ROOT = Path(__file__).parents[4]
@@ -109,12 +110,18 @@ def frame_in(page: BrowserPage) -> dict[str, Any] | None:
 
 
 def evaluate_in(page: BrowserPage, script: str) -> Any:
-    """Value of a script in the frame of a page."""
-    frame = frame_in(page)
-    assert frame is not None
-    world = page.send("Page.createIsolatedWorld", frameId=frame["id"])["executionContextId"]
-    found = page.send("Runtime.evaluate", expression=script, contextId=world, returnByValue=True)
-    return found["result"].get("value")
+    """Value of a script in the frame of a page, also of one that goes elsewhere meanwhile."""
+    end = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            frame = frame_in(page)
+            assert frame is not None
+            world = page.send("Page.createIsolatedWorld", frameId=frame["id"])["executionContextId"]
+            found = page.send("Runtime.evaluate", expression=script, contextId=world, returnByValue=True)
+            return found["result"].get("value")
+        except RuntimeError:
+            assert time.monotonic() < end, "the frame does not stay"
+            time.sleep(0.1)
 
 
 @pytest.mark.parametrize("hub", [False, True], ids=["this machine", "through a hub's proxy of ports"])
@@ -133,7 +140,8 @@ def test_a_cell_shows_the_page_inline_with_the_counts_of_the_run(run: Path, tmp_
         page.send("Emulation.setFocusEmulationEnabled", enabled=True)
         page.wait_for("window.jupyterapp && document.querySelector('.jp-CodeCell')", PATIENCE_S)
         run_cell(page)
-        wait_for(lambda: frame_in(page), otherwise=lambda: page.evaluate("document.body.innerText"))
+        # The kernel imports everything first.
+        wait_for(lambda: frame_in(page), 3 * PATIENCE_S, lambda: page.evaluate("document.body.innerText"))
         wait_for(lambda: "clean" in evaluate_in(page, NUMBERS))
         cells = evaluate_in(page, NUMBERS)
         missed, false = cells[cells.index("clean") + 3 :][:2]
