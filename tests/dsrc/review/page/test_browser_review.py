@@ -75,6 +75,8 @@ def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: li
                 left, right = right, left
             wait_for(lambda: left.pair is right.pair is not None and left.view is not None and right.view is not None)
             assert (left.state.corruption, right.state.corruption) == ("clean", "fog")
+            for cell in (left, right):
+                cell.wait_drawn(PATIENCE_S)
             time.sleep(2.0)
             before = np.array(left.client.camera.position)
             move = {"button": "left", "buttons": 1, "clickCount": 1}
