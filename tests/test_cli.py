@@ -75,7 +75,7 @@ def test_without_a_command_and_by_the_word_help_there_is_help(words: tuple[str, 
 
 def test_every_command_has_examples_that_are_read() -> None:
     for words, command in commands():
-        examples = options.examples_of(command)
+        examples = [line.strip() for line in options.describe(command).partition("examples:\n")[2].splitlines()]
         assert 1 <= len(examples) <= 3, words
         for line in examples:
             begin, *args = shlex.split(line.partition(" > ")[0].removeprefix('eval "$(').removesuffix(')"'))

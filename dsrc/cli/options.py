@@ -69,11 +69,6 @@ def describe(command: type) -> str:
     return "\n  ".join([f"{text}\n\nexamples:", *examples]) if examples else text
 
 
-def examples_of(command: type) -> list[str]:
-    """Return the command lines under `Examples:`."""
-    return _parts(command)[1]
-
-
 def option_words(name: str, kind: object) -> list[str]:
     """Return an option as it is typed, with its opposite where it is a switch; empty for a positional argument."""
     if _POSITIONAL in get_args(kind):

@@ -26,14 +26,6 @@ def bev_iou(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     return out
 
 
-def volume_iou(a: ArrayLike, b: ArrayLike, footprint_iou: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, m) float64 IoU of the volumes of upright boxes a (n, 7) and b (m, 7), whose `bev_iou` is known."""
-    out = np.zeros_like(footprint_iou)
-    pairs = np.nonzero(footprint_iou)
-    out[pairs] = paired_volume_iou(_rows(a)[pairs[0]], _rows(b)[pairs[1]], footprint_iou[pairs])
-    return out
-
-
 def paired_volume_iou(
     a: NDArray[np.float64], b: NDArray[np.float64], footprint_iou: NDArray[np.float64]
 ) -> NDArray[np.float64]:

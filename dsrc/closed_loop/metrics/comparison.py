@@ -129,18 +129,16 @@ def _by_key(results: Sequence[Result], any_channel: bool) -> dict[tuple, Result]
     return found
 
 
-def corruption_errors(
-    results: Sequence[Result], reference: Sequence[Result], value: Value = collided
-) -> dict[str, float]:
+def corruption_errors(results: Sequence[Result], reference: Sequence[Result]) -> dict[str, float]:
     """Return the corruption error of each corruption: errors summed over the severities, over those of a reference.
 
-    CE_c = sum_s E_sc / sum_s E_sc(reference), where E is the mean of `value`: the collision rate, or what lacks to a
-    full score. 1 is as bad as the reference; NaN where the reference makes no error, or has other severities.
+    CE_c = sum_s E_sc / sum_s E_sc(reference), where E is the collision rate. 1 is as bad as the
+    reference; NaN where the reference makes no error, or has other severities.
 
     Source: D. Hendrycks and T. Dietterich, Benchmarking neural network robustness to common corruptions and
     perturbations, ICLR 2019, section 4.
     """
-    ours, theirs = _error_sums(results, value), _error_sums(reference, value)
+    ours, theirs = _error_sums(results), _error_sums(reference)
     errors = {}
     for kind, (severities, total) in ours.items():
         same, base = theirs.get(kind, (set(), 0.0))
@@ -148,11 +146,11 @@ def corruption_errors(
     return errors
 
 
-def _error_sums(results: Sequence[Result], value: Value) -> dict[str, tuple[set[int], float]]:
+def _error_sums(results: Sequence[Result]) -> dict[str, tuple[set[int], float]]:
     cells: dict[tuple[str, int], list[float]] = {}
     for one in counted(results):
         if one.corruption != "clean":
-            cells.setdefault((one.corruption, one.severity), []).append(value(one))
+            cells.setdefault((one.corruption, one.severity), []).append(collided(one))
     sums: dict[str, tuple[set[int], float]] = {}
     for (kind, severity), values in cells.items():
         severities, total = sums.get(kind, (set(), 0.0))
@@ -165,31 +163,29 @@ def mean_corruption_error(errors: Mapping[str, float]) -> float:
     return float(np.mean(list(errors.values()))) if errors else math.nan
 
 
-def harm_rate(together: Sequence[Result], alone: Sequence[Result], value: Value = collided) -> float:
-    """Return the share of pairs in which cooperation made it worse: `value` is larger than that of the ego alone.
+def harm_rate(together: Sequence[Result], alone: Sequence[Result]) -> float:
+    """Return the share of pairs in which cooperation made it worse: it crashes, and the ego alone does not.
 
     Args:
         alone: results of the same seeds without.
-        value: of which less is better.
     """
-    found = [value(ours) > value(theirs) for ours, theirs in pairs(together, alone, any_channel=True)]
+    found = [collided(ours) > collided(theirs) for ours, theirs in pairs(together, alone, any_channel=True)]
     return float(np.mean(found)) if found else math.nan
 
 
-def gain_per_megabyte(together: Sequence[Result], alone: Sequence[Result], value: Value = collided) -> float:
-    """Return what cooperation saves per megabyte received: the difference of the means of `value` over mean MB.
+def gain_per_megabyte(together: Sequence[Result], alone: Sequence[Result]) -> float:
+    """Return the crashes that cooperation saves per megabyte received: the difference of their rates over mean MB.
 
     NaN where nothing was received.
 
     Args:
         alone: results of the same seeds without.
-        value: of which less is better.
     """
     found = pairs(together, alone, any_channel=True)
     received = sum(metric(ours, "received_mb") for ours, _ in found)
     if not received > 0.0:
         return math.nan
-    return sum(value(theirs) - value(ours) for ours, theirs in found) / received
+    return sum(collided(theirs) - collided(ours) for ours, theirs in found) / received
 
 
 def avoidable(results: Sequence[Result], careful: Sequence[Result]) -> list[float]:

@@ -39,12 +39,10 @@ _SHOWN: tuple[tuple[str, Value, Callable[[Sequence[float]], Estimate]], ...] = (
 """Axis label, function and estimate of what both panels show."""
 
 
-def collision_and_score(
-    results: Sequence[Result], styles: Mapping[str, Style] | None = None, title: str = ""
-) -> Figure:
+def collision_and_score(results: Sequence[Result], title: str = "") -> Figure:
     """Draw collision rate and driving score, a group per corruption, a point with its 95 % interval per perception."""
     perceptions, kinds = _perceptions(results), _kinds(results)
-    styles = styles or styles_of(perceptions)
+    styles = styles_of(perceptions)
     with figure_style():
         figure, parts = panels(WIDTH_IN, 5.4, rows=2, title=title)
         for axes, (label, value, estimate) in zip(parts, _SHOWN, strict=True):
@@ -62,15 +60,15 @@ def collision_and_score(
     return figure
 
 
-def rate_over_severity(results: Sequence[Result], styles: Mapping[str, Style] | None = None, title: str = "") -> Figure:
+def rate_over_severity(results: Sequence[Result]) -> Figure:
     """Draw the collision rate over the severity from clean on, a panel per corruption, a curve per perception."""
     perceptions = _perceptions(results)
     kinds = [kind for kind in _kinds(results) if kind != CLEAN]
-    styles = styles or styles_of(perceptions)
+    styles = styles_of(perceptions)
     columns = min(max(len(kinds), 1), 3)
     rows = max(math.ceil(len(kinds) / columns), 1)
     with figure_style():
-        figure, parts = panels(WIDTH_IN, 0.9 + 2.3 * rows, rows=rows, columns=columns, title=title)
+        figure, parts = panels(WIDTH_IN, 0.9 + 2.3 * rows, rows=rows, columns=columns)
         for axes, kind in zip(parts, kinds, strict=False):
             severities = sorted({one.severity for one in results if one.corruption == kind})
             for i, name in enumerate(perceptions):
@@ -95,26 +93,24 @@ def rate_over_severity(results: Sequence[Result], styles: Mapping[str, Style] | 
     return figure
 
 
-def deadly_corruptions(results: Sequence[Result], perceptions: Sequence[str] = (), title: str = "") -> Figure:
+def deadly_corruptions(results: Sequence[Result]) -> Figure:
     """Draw which corruption kills: its crashes more than clean, in points, by scenario, a panel per perception.
 
     Crashes are compared in pairs of one scenario and seed. A cell is bold where McNemar's exact test has p < 0.05.
 
     Args:
         results: of a campaign, of one severity: each clean episode is one half of one pair per corruption.
-        perceptions: a panel each; default: all with a corrupted episode.
     """
     kinds = [kind for kind in _kinds(results) if kind != CLEAN]
     scenarios = list(dict.fromkeys(one.scenario for one in results))
-    corrupted = [name for name in _perceptions(results) if _chosen(results, perception=name, corruption=set(kinds))]
-    names = list(perceptions) or corrupted
+    names = [name for name in _perceptions(results) if _chosen(results, perception=name, corruption=set(kinds))]
     lines = [*scenarios, "all"] if len(scenarios) > 1 else scenarios
     columns = min(max(len(names), 1), 2)
     rows = max(math.ceil(len(names) / columns), 1)
     scale = Normalize(-100.0, 100.0)
     with figure_style():
         height = 0.9 + rows * (1.3 + 0.26 * len(lines))
-        figure, parts = panels(WIDTH_IN, height, rows=rows, columns=columns, title=title)
+        figure, parts = panels(WIDTH_IN, height, rows=rows, columns=columns)
         for place, (axes, name) in enumerate(zip(parts, names, strict=False)):
             for y, scenario in enumerate(lines):
                 for x, kind in enumerate(kinds):
@@ -154,12 +150,7 @@ def _harm(corrupted: Sequence[Result], clean: Sequence[Result]) -> tuple[float, 
     return found.difference.value, found.p_value
 
 
-def cost_of_channel(
-    results: Sequence[Result],
-    quantities: Mapping[str, Callable[[Result], float]],
-    styles: Mapping[str, Style] | None = None,
-    title: str = "",
-) -> Figure:
+def cost_of_channel(results: Sequence[Result], quantities: Mapping[str, Callable[[Result], float]]) -> Figure:
     """Draw collision rate and driving score over a quantity of the channel: a column of panels per quantity.
 
     Args:
@@ -168,10 +159,10 @@ def cost_of_channel(
             results for which it is NaN are left out.
     """
     perceptions = _perceptions(results)
-    styles = styles or styles_of(perceptions)
+    styles = styles_of(perceptions)
     columns = max(len(quantities), 1)
     with figure_style():
-        figure, parts = panels(WIDTH_IN, 5.2, rows=2, columns=columns, title=title)
+        figure, parts = panels(WIDTH_IN, 5.2, rows=2, columns=columns)
         for column, (label, quantity) in enumerate(quantities.items()):
             places = sorted({x for one in results if not math.isnan(x := quantity(one))})
             width = (places[-1] - places[0]) if len(places) > 1 else 1.0
@@ -189,12 +180,12 @@ def cost_of_channel(
     return figure
 
 
-def shares_of_causes(results: Sequence[EpisodeResult], causes: Mapping[str, Cause], title: str = "") -> Figure:
+def shares_of_causes(results: Sequence[EpisodeResult], causes: Mapping[str, Cause]) -> Figure:
     """Draw the causes of crashes, a bar per perception and condition, stacked by what came late."""
     kinds, counts = counted_causes(results, causes)
     fills = dict(zip(kinds, COLORS, strict=False))
     with figure_style():
-        figure, (axes,) = panels(WIDTH_IN, 1.2 + 0.3 * len(counts), title=title)
+        figure, (axes,) = panels(WIDTH_IN, 1.2 + 0.3 * len(counts))
         for y, own in enumerate(counts.values()):
             left = 0
             for kind in kinds:

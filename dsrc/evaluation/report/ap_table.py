@@ -18,7 +18,7 @@ _METRICS = {
 }
 
 
-def result_table(rows: Sequence[Row], title: str = "Average precision, %") -> Table:
+def result_table(rows: Sequence[Row]) -> Table:
     """Table of average precision, the best of a condition in bold; with traffic where it was counted."""
     columns = [Column("method", align="left"), *map(Column, _METRICS), Column("ms")]
     through_channel = any(row.bytes_per_frame is not None for row in rows)
@@ -34,7 +34,7 @@ def result_table(rows: Sequence[Row], title: str = "Average precision, %") -> Ta
             cells += [times, *(_scaled(*one) for one in (traffic if through_channel else ()))]
             lines.append(TableRow(condition_title(condition), tuple(cells)))
     caption = "*BEV: sorted per frame, as OpenCOOD does. mCE: share of the clean AP lost, less is better."
-    return Table("ap", title, "condition", tuple(columns), tuple(lines), caption=caption, grouped=True)
+    return Table("ap", "Average precision, %", "condition", tuple(columns), tuple(lines), caption=caption, grouped=True)
 
 
 def _scaled(value: float | None, scale: float) -> float | None:

@@ -18,18 +18,6 @@ def is_varied(model: str) -> bool:
     return any(is_look(one.looks, look) for one in known)
 
 
-def varied_models() -> list[str]:
-    """Return a model of every shape and variant, in the order of the types."""
-    from sim.bodies.varied.looks import LOOKS
-
-    names = {
-        f"{one.shape}/{variant}:" + "+".join(next(iter(shares)) for shares in LOOKS[one.looks])
-        for one in VARIED.values()
-        for variant, _ in one.variants
-    }
-    return sorted(names)
-
-
 def varied_shape(model: str) -> "MeshPart":
     """Return the mesh part of a model in its own proportions, in the body frame."""
     from sim.bodies.varied import cars, cycles, heavy, walkers

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from dsrc.ops.iou import bev_iou, volume_iou
+from dsrc.ops.iou import bev_iou, paired_volume_iou
 from sim.boxes import Boxes
 from tests.paths import GOLDENS
 
@@ -17,7 +17,12 @@ box = st.tuples(
 
 
 def iou_3d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return volume_iou(a, b, bev_iou(a, b))
+    """(n, m) IoU of volumes."""
+    a, b = np.reshape(a, (-1, 7)), np.reshape(b, (-1, 7))
+    footprint = bev_iou(a, b)
+    volume, (first, second) = np.zeros_like(footprint), np.nonzero(footprint)
+    volume[first, second] = paired_volume_iou(a[first], b[second], footprint[first, second])
+    return volume
 
 
 def random_boxes(rng: np.random.Generator, n: int, spread: float = 6.0) -> np.ndarray:

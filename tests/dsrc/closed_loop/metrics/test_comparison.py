@@ -7,7 +7,6 @@ import pytest
 
 from dsrc.closed_loop.metrics.comparison import (
     avoidable,
-    collided,
     corruption_errors,
     counted,
     gain_per_megabyte,
@@ -90,7 +89,7 @@ def test_the_gain_per_megabyte_is_what_was_saved_over_what_was_received() -> Non
         for seed, size in enumerate((0.5, 1.5, 2.0))
     ]
     alone = [result(k, seed) for seed, k in enumerate((1.0, 1.0, 0.0))]
-    assert gain_per_megabyte(together, alone, collided) == pytest.approx(0.5)
+    assert gain_per_megabyte(together, alone) == pytest.approx(0.5)
     assert math.isnan(gain_per_megabyte(alone, alone))
 
 

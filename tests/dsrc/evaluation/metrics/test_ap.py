@@ -20,8 +20,9 @@ from dsrc.evaluation.metrics.ap import (
 )
 from dsrc.evaluation.metrics.matching import match
 from dsrc.ops.detections import Detections
-from dsrc.ops.iou import bev_iou, volume_iou
+from dsrc.ops.iou import bev_iou
 from sim.boxes import Boxes
+from tests.dsrc.ops.test_iou import iou_3d
 from tests.paths import GOLDENS as ALL_GOLDENS
 
 GOLDENS = ALL_GOLDENS / "models"
@@ -135,9 +136,7 @@ def test_ap_equals_brute_force_on_random_sets(seed: int) -> None:
     frames = random_frames(np.random.default_rng(seed), 8)
     result = evaluate(frames)
     for (space, threshold), curve in result.curves.items():
-        expected = brute_force_ap(
-            frames, threshold, {"bev": bev_iou, "3d": lambda a, b: volume_iou(a, b, bev_iou(a, b))}[space]
-        )
+        expected = brute_force_ap(frames, threshold, {"bev": bev_iou, "3d": iou_3d}[space])
         assert curve.ap == pytest.approx(expected, abs=1e-9), (space, threshold)
 
 

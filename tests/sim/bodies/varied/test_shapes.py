@@ -5,13 +5,21 @@ import pytest
 import trimesh
 
 from sim.bodies.choice import body_mesh, require_model
-from sim.bodies.varied.shapes import is_varied, varied_models
+from sim.bodies.varied.looks import LOOKS
+from sim.bodies.varied.shapes import is_varied
 from sim.bodies.varied.types import VARIED
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
 from sim.mesh.materials import MATERIALS, material_index
 
-MODELS = varied_models()
+MODELS = sorted(
+    {
+        f"{one.shape}/{variant}:" + "+".join(next(iter(shares)) for shares in LOOKS[one.looks])
+        for one in VARIED.values()
+        for variant, _ in one.variants
+    }
+)
+"""A model of every shape and variant."""
 MOST_TRIANGLES = 1_500
 LEAST_SHAPES = {
     "car": 10, "van": 5, "truck": 6, "bus": 3, "motorcycle": 3, "bicycle": 3, "pedestrian": 5,
