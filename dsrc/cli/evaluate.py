@@ -118,10 +118,11 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
     output: Output = Output()
 
     def run(self) -> None:
-        """Evaluate what is missing, write tables and plots and print the first table."""
+        """Evaluate what is missing, write tables and plots and print the first two tables."""
         from rich.console import Console
 
         from dsrc.evaluation.config import available, plan_of
+        from dsrc.evaluation.report.choice import choice_sheet
         from dsrc.evaluation.report.dataset_results import DatasetResults
         from dsrc.evaluation.report.report import RESULTS, write_report
         from dsrc.evaluation.report.tables import table_1
@@ -138,7 +139,8 @@ class Benchmark(BenchmarkOptions, frozen=True, kw_only=True):
         sections = write_report(outcome, self.out)
         write_file(self.out / "tables.md", "\n".join(section.markdown(Path()) for section in sections))
         for dataset in plan.datasets:
-            Console(highlight=False).print(table_1(DatasetResults.of(outcome, dataset.name)))
+            results = DatasetResults.of(outcome, dataset.name)
+            Console(highlight=False).print(table_1(results), choice_sheet(results))
         if absent:
             sys.stdout.write(f"Missing detector files, left out: {', '.join(absent)}.\n")
         places = [self.out / "tables.md"]

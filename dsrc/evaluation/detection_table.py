@@ -83,6 +83,18 @@ class DetectionTable:
             tables.append(DetectionTable(**columns))
         return tables
 
+    def objects(self, drive: NDArray[np.integer]) -> NDArray[np.int64]:
+        """(N,) number of the object of each true box, from 0 on: boxes of one drive, id and size are one object's.
+
+        Readers of frames without tracks number the boxes of each frame anew, so that another size is another object.
+
+        Args:
+            drive: (F,) number of the drive of each frame.
+        """
+        size_cm = np.round(100.0 * self.truth[:, 3:6])
+        keys = np.column_stack([np.repeat(drive, self.truths), self.object_id, size_cm]).astype(np.int64)
+        return np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+
     def arrays(self) -> dict[str, NDArray]:
         """Columns as they are stored, by name; see `read_table`."""
         return {name: np.asarray(getattr(self, name), kind) for name, (kind, _) in _COLUMNS.items()}

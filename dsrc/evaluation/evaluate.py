@@ -160,10 +160,10 @@ def _labelled(result: BenchmarkResult, channels: bool) -> Iterator[tuple[CaseRes
 
 
 def _with_curves(entry: CaseResult, folder: Path, channels: bool) -> Row:
-    """Row of a result for tables and plots: with curves for clean frames, without traffic where none is counted."""
+    """Row of a result for tables and plots: with curves for clean frames, without ages of messages that none delays."""
     row = entry.row
     if not channels or row.method.endswith(f", {EGO_ALONE}"):
-        row = replace(row, bytes_per_frame=None, message_age_s=None, heard=None)
+        row = replace(row, message_age_s=None, heard=None)
     if row.condition != CLEAN:
         return row
     return replace(row, result=evaluate_matches(join_results([read_cell(folder, key) for key in entry.cells]).matches))

@@ -348,7 +348,8 @@ class _CellPlanner:
 
 def _case_result(case: Case, folder: Path, cells: Sequence[CellJob], keep_detections: bool) -> CaseResult:
     keys = [job.settings.key for job in cells]
-    result = join_results([read_cell(folder, key) for key in keys])
+    parts = [read_cell(folder, key) for key in keys]
+    result = join_results(parts)
     whole = evaluate_matches(result.matches)
     row = make_row(
         case.method,
@@ -360,7 +361,11 @@ def _case_result(case: Case, folder: Path, cells: Sequence[CellJob], keep_detect
     )
     # The ego alone was sent nothing.
     sent = 0.0 if row.bytes_per_frame is None else row.bytes_per_frame
-    choice = choice_metrics(whole.curves[IOU], result.matches, result.table.points)
+    drives = list(dict.fromkeys(job.drive for job in cells))
+    drive = np.repeat([drives.index(job.drive) for job in cells], [len(part.table) for part in parts])
+    table = result.table
+    distance_m = np.hypot(*table.truth[:, :2].T)
+    choice = choice_metrics(whole.curves[IOU], result.matches, table.points, table.objects(drive), distance_m)
     metrics = {**row.metrics, **by_visibility(result), **choice, **sure_errors(result.matches)}
     if result.told is not None:
         metrics |= dict(zip(LIES, result.told.sum(axis=0).tolist(), strict=True))

@@ -76,7 +76,7 @@ class Evaluation(Disturbed, frozen=True, kw_only=True):
             ETSI's Collective Perception Messages, less what others tell; default: none.
         defence: also evaluate what tells boxes with a defence against helpers that lie, faults ghost, remove and
             false_pose: one of these, or both between commas; default: none.
-        channel: radio channels, each detector through each of them; default: no loss, no delay and no byte counts.
+        channel: radio channels, each detector through each of them; default: no loss and no delay.
         height: ground under the clouds, see dsrc detect.
         drop_lone_points: each agent drops points with few neighbours, as flakes in the air are.
         engine: execution of the networks: fused layers, the same in half precision for CPUs with AMX, PyTorch's

@@ -108,17 +108,39 @@ def reliability(score: NDArray[np.floating], hit: NDArray[np.bool_], bins: int =
     return Reliability(count, mean, np.bincount(place, weights=hit, minlength=bins) / filled + empty)
 
 
-def choice_metrics(curve: Curve, matches: Matches, points: NDArray[np.integer]) -> dict[str, float]:
+def first_sight_m(found: NDArray[np.bool_], objects: NDArray[np.integer], distance_m: NDArray[np.floating]) -> float:
+    """Median over objects of the distance at which each is first found, m; 0 for one that never is, NaN without any.
+
+    Args:
+        found: (N,) whether each true box is found, in the order of time.
+        objects: (N,) number of its object, from 0 on.
+        distance_m: (N,) its distance from the ego.
+    """
+    first = np.zeros(objects.max(initial=-1) + 1)
+    latest_first = np.flatnonzero(found)[::-1]  # of several the last one that is written stays
+    first[objects[latest_first]] = distance_m[latest_first]
+    return float(np.median(first)) if len(first) else math.nan
+
+
+def choice_metrics(
+    curve: Curve,
+    matches: Matches,
+    points: NDArray[np.integer],
+    objects: NDArray[np.integer],
+    distance_m: NDArray[np.floating],
+) -> dict[str, float]:
     """Numbers of a detector at its best F1, and its calibration; boxes overlap from `IOU` on.
 
     Args:
         curve: of the matches at `IOU`.
         matches: of F frames.
         points: (N, 2 or more) points on each true box: the ego's, all agents'; -1 for unknown.
+        objects: (N,) number of the object of each true box, from 0 on.
+        distance_m: (N,) distance of each from the ego.
 
     Returns:
         `best_score`, `best_f1`, `best_precision`, `best_recall`, `false_boxes` a frame, `helped_recall`: of objects on
-        which only others have points, NaN without any; `ece`: see `Reliability.error`.
+        which only others have points, NaN without any; `first_sight_m`; `ece`: see `Reliability.error`.
     """
     best, box = best_f1(curve), matches.matched[IOU]
     helped = (points[:, 0] == 0) & (points[:, 1] > 0)
@@ -131,5 +153,6 @@ def choice_metrics(curve: Curve, matches: Matches, points: NDArray[np.integer]) 
         "best_recall": best.recall,
         "false_boxes": best.false_boxes / max(matches.frames, 1),
         "helped_recall": float(found[helped].mean()) if helped.any() else math.nan,
+        "first_sight_m": first_sight_m(found, objects, distance_m),
         "ece": reliability(matches.score, box >= 0).error,
     }

@@ -21,7 +21,7 @@ _METRICS = {
 def result_table(rows: Sequence[Row]) -> Table:
     """Table of average precision, the best of a condition in bold; with traffic where it was counted."""
     columns = [Column("method", align="left"), *map(Column, _METRICS), Column("ms")]
-    through_channel = any(row.bytes_per_frame is not None for row in rows)
+    through_channel = any(row.heard is not None for row in rows)
     if through_channel:
         columns += [Column("sent kB", digits=1), Column("age ms"), Column("heard %")]
     methods, lines = methods_of(rows), []

@@ -21,7 +21,7 @@ from dsrc.evaluation.metrics.intervals import (
     resampled_ap,
 )
 from dsrc.evaluation.report.dataset_results import DatasetResults
-from dsrc.evaluation.report.tables import sample_note
+from dsrc.evaluation.report.notes import sample_note
 from dsrc.evaluation.results import CLEAN, MCE, MEAN_CORRUPTED, condition_title
 from dsrc.tables.files import csv_text
 from dsrc.tables.table import Column, Stat, Strong, Table, TableRow

@@ -2,14 +2,16 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from dsrc.evaluation.metrics.ap import metric_name
 from dsrc.evaluation.metrics.robustness import mce, mean_ap
+from dsrc.evaluation.report.choice import ABOUT, BESIDE_AP, choice_cells, sheet_columns
 from dsrc.evaluation.report.dataset_results import NAMES, DatasetResults
+from dsrc.evaluation.report.notes import bytes_note, sample_note
 from dsrc.evaluation.results import CLEAN, Row, condition_title
-from dsrc.evaluation.runner import VISIBILITY, BenchmarkResult, TrainedDetector
+from dsrc.evaluation.runner import VISIBILITY, BenchmarkResult
 from dsrc.tables.table import Cell, Column, Stat, Table, TableRow
 from sim.radio import IDEAL
 
@@ -21,7 +23,7 @@ ap_column = partial(Column, parts=("0.5", "0.7"), scale=100.0, digits=1, better=
 
 
 def table_1(results: DatasetResults, *, opencood: bool = False) -> Table:
-    """Table of clean and corrupted frames, mCE and mean AP, bytes and time.
+    """Table of clean and corrupted frames, mCE and mean AP, and of the numbers by which one chooses.
 
     Args:
         opencood: detections sorted inside their frame only, as in the paper's tables.
@@ -30,28 +32,21 @@ def table_1(results: DatasetResults, *, opencood: bool = False) -> Table:
     columns = [Column("Start", align="left", terminal=False)] if results.starts else []
     columns += [ap_column(condition_title(kind).capitalize()) for kind in (CLEAN, *kinds)]
     columns += [ap_column("mCE", better="low"), ap_column("mAP")]
-    columns += [
-        Column("kB / frame", ("",), scale=1e-3, digits=1, terminal=False),
-        Column("ms / frame", ("",), scale=1e3, terminal=False),
-    ]
+    columns += [replace(column, terminal=False) for column in sheet_columns(BESIDE_AP)]
     rows = []
     for method in methods:
         clean = results.rows(method)
         cells: list[Cell] = [results.starts.get(method, "")] if results.starts else []
         cells += [results.ap(clean, names), *(results.ap(results.rows(method, kind), names) for kind in kinds)]
         cells += [results.summary(method, mce, names), results.summary(method, mean_ap, names)]
-        cells += [
-            (Stat.of([row.bytes_per_frame for row in clean if row.bytes_per_frame is not None]),),
-            (Stat.of([row.seconds_per_frame for row in clean if row.seconds_per_frame is not None]),),
-        ]
+        cells += choice_cells(clean, BESIDE_AP)
         rows.append(TableRow(method, tuple(cells), results.mark(method)))
     order = (
         "detections sorted inside each frame, as OpenCOOD and the paper do" if opencood else "sorted over all frames"
     )
     about = (
         f"; {order}. {results.level} mCE: share of the clean AP lost, less is better; mAP: mean over clean and "
-        f"corrupted frames. kB: what all collaborators send for a frame, clean.{bytes_note(results, methods)} ms: "
-        "median time of a detection."
+        f"corrupted frames. Of clean frames: {ABOUT}{bytes_note(results, methods)}"
     )
     name = "table_1_opencood" if opencood else "table_1"
     title = f"Clean and corrupted frames{', sorted inside frames' if opencood else ''}, {results.titled}"
@@ -187,55 +182,3 @@ def severity_table(results: DatasetResults, severities: Sequence[int]) -> Table:
         rows.append(TableRow(method, tuple(cells), results.mark(method)))
     title = f"Severity, {results.titled}"
     return ap_table(results, "severity", title, columns, rows, ", mean of the corruptions.")
-
-
-def sample_note(results: DatasetResults, methods: Sequence[str], *, spread: bool = True) -> str:
-    """Note on a table's sample: frames and boxes, recipe and range, trainings.
-
-    Args:
-        spread: explain ± where a method has several trainings.
-    """
-    if not methods:
-        return ""
-    rows = [row for method in methods for row in results.rows(method)[:1]]
-    counts = dict.fromkeys(f"{row.frames} frames with {row.truth} boxes" for row in rows)
-    several = spread and any(len(results.trained[method]) > 1 for method in methods)
-    about = " ± is the standard deviation between trainings." if several else ""
-    recipes = _texts_by_method(methods, {method: _recipe(results.trained[method]) for method in methods})
-    seeds = _texts_by_method(
-        methods,
-        {method: ", ".join(_or_unknown(one.seed) for one in results.trained[method]) for method in methods},
-    )
-    return f" {' or '.join(counts)}. Recipe and range: {recipes}. Seeds of the trainings: {seeds}.{about}"
-
-
-def _recipe(trained: Sequence[TrainedDetector]) -> str:
-    x0, y0, _, x1, y1, _ = trained[0].settings.grid.range_m
-    names = dict.fromkeys(one.recipe or "not known" for one in trained)
-    return f"{' or '.join(names)}, x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m"
-
-
-def _or_unknown(seed: int | None) -> str:
-    return "not known" if seed is None else str(seed)
-
-
-def _texts_by_method(methods: Sequence[str], texts: dict[str, str]) -> str:
-    """Texts with their methods, the most frequent one last and for the others."""
-    groups: dict[str, list[str]] = {}
-    for method in methods:
-        groups.setdefault(texts[method], []).append(method)
-    *fewer, usual = sorted(groups, key=lambda text: len(groups[text]))
-    parts = [f"{text} ({', '.join(groups[text])})" for text in fewer]
-    return "; ".join([*parts, f"{usual} (the others)" if fewer else usual])
-
-
-def bytes_note(results: DatasetResults, methods: Sequence[str]) -> str:
-    """Note on methods whose bytes are counted in a way of their own."""
-    special = {
-        "where2comm": "is an upper bound: the whole first scale, of which it sends a part",
-        "late": "is of the objects of the ground truth that a sender has points on, not of its detections",
-    }
-    first = {name: results.trained[name][0] for name in methods}
-    counted = {name: one.fusion for name, one in first.items() if "messages" not in one.use}
-    notes = [f" That of {name} {special[fusion]}." for name, fusion in counted.items() if fusion in special]
-    return "".join(notes)

@@ -55,6 +55,20 @@ def test_stored_detections_score_what_the_evaluation_says(done: tuple[Path, list
     assert any(len(read_run(out, run.cells[0]).score) for run in index.runs)
 
 
+def test_boxes_of_one_drive_id_and_size_are_one_object() -> None:
+    """The same id in another drive is another object, and so is one of another size: its reader has no tracks."""
+
+    def frame(position: int, *boxes: tuple[int, float, float]) -> DetectionTable:
+        rows = [(x, 0.0, 0.0, length, 1.8, 1.5, 0.0) for _, x, length in boxes]
+        truth = Boxes.from_array(rows, object_id=[number for number, _, _ in boxes])
+        return one_frame(position, position, 0, Detections.zeros(), truth)
+
+    table = join_tables([frame(0, (7, 40.0, 4.5), (8, 20.0, 4.2)), frame(1, (7, 30.0, 4.5)), frame(0, (7, 30.0, 4.5))])
+    first, other, again, elsewhere = table.objects(np.array([0, 0, 1])).tolist()
+    assert first == again and len({first, other, elsewhere}) == 3
+    assert len(set(join_tables([frame(0, (1, 9.0, 4.5)), frame(1, (1, 9.0, 4.9))]).objects(np.zeros(2, int)))) == 2
+
+
 def test_a_table_names_frames_ego_and_points_of_the_drive(done: tuple[Path, list]) -> None:
     out, _ = done
     index = read_index(out)

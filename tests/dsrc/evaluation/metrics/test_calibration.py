@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsrc.evaluation.metrics.ap import Matches, curve_of
-from dsrc.evaluation.metrics.calibration import IOU, best_f1, choice_metrics, reliability
+from dsrc.evaluation.metrics.calibration import IOU, best_f1, choice_metrics, first_sight_m, reliability
 
 
 def matches_of(score: list[float], box: list[int], truth: int) -> Matches:
@@ -63,15 +63,34 @@ def test_bins_hold_every_detection() -> None:
     assert (np.floor(curve.score * 7) == np.arange(7)).all()
 
 
+def test_the_first_sight_of_an_object_is_where_it_is_first_found_and_0_of_one_that_never_is() -> None:
+    # Frame by frame: object 0 comes nearer and is found in the second frame, 1 at once, 2 never.
+    objects = np.array([0, 1, 2, 0, 1, 2, 0])
+    distance = np.array([60.0, 35.0, 20.0, 50.0, 30.0, 25.0, 40.0])
+    found = np.array([0, 1, 0, 1, 1, 0, 1], bool)
+    assert first_sight_m(found, objects, distance) == 35.0  # the median of 50, 35 and 0
+    assert first_sight_m(found[objects < 2], objects[objects < 2], distance[objects < 2]) == 42.5
+    assert first_sight_m(~found, objects, distance) == 20.0  # 60, 0 and 20
+    assert math.isnan(first_sight_m(found[:0], objects[:0], distance[:0]))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.integers(0, 4), st.floats(0, 99)), min_size=1, max_size=30))
+def test_who_finds_more_of_what_comes_nearer_sees_it_no_later(boxes: list[tuple[bool, bool, int, float]]) -> None:
+    boxes = sorted(boxes, key=lambda box: -box[3])
+    found, more, objects, distance = (np.array(column) for column in zip(*boxes, strict=True))
+    assert first_sight_m(found | more, objects, distance) >= first_sight_m(found, objects, distance)
+
+
 def test_recall_of_what_only_others_see_counts_their_objects_alone() -> None:
     # True boxes: seen by the ego, by others alone and hit, by others alone and missed, by nobody, unknown.
     points = np.array([[5, 9], [0, 4], [0, 7], [0, 0], [-1, -1]])
+    place = np.arange(5), 10.0 * np.arange(5)
     matches = matches_of([0.9, 0.8, 0.3], [0, 1, 2], truth=5)
     curve = curve_of(matches.matched[IOU] >= 0, matches.score, 5)
-    assert choice_metrics(curve, matches, points)["helped_recall"] == 1.0
+    assert choice_metrics(curve, matches, points, *place)["helped_recall"] == 1.0
     late = matches_of([0.9, 0.8, 0.3, 0.3, 0.3, 0.3, 0.3], [0, 1, 2, -1, -1, -1, -1], truth=5)
     curve = curve_of(late.matched[IOU] >= 0, late.score, 5)
-    found = choice_metrics(curve, late, points)
+    found = choice_metrics(curve, late, points, *place)
     assert found["best_score"] == pytest.approx(0.8) and found["helped_recall"] == 0.5
-    assert found["false_boxes"] == 0.0 and found["best_recall"] == 0.4
-    assert math.isnan(choice_metrics(curve, late, points * [1, 0])["helped_recall"])
+    assert found["false_boxes"] == 0.0 and found["best_recall"] == 0.4 and found["first_sight_m"] == 0.0
+    assert math.isnan(choice_metrics(curve, late, points * [1, 0], *place)["helped_recall"])

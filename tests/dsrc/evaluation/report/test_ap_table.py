@@ -57,12 +57,13 @@ def test_without_corruptions_or_without_clean_there_is_no_summary() -> None:
 
 def test_the_table_of_operating_points_shows_shares_in_percent_and_fits_80_columns() -> None:
     numbers = {"best_score": 0.25, "best_recall": 0.923, "helped_recall": math.nan, "false_boxes": 1.6, "ece": 0.264}
-    rows = [Row("a detector", "clean", 0, 10, 40, 35, {"ap_bev_50": 0.8, **numbers})]
+    metrics = {"ap_bev_50": 0.8, **numbers, "first_sight_m": 31.25}
+    rows = [Row("a detector", "clean", 0, 10, 40, 35, metrics, 0.012, 1500.0)]
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(choice_table([*rows, *summary_rows(rows)]))
     text = console.export_text()
-    line = next(line for line in text.splitlines() if "a detector" in line)
-    assert line.split()[-4:] == ["0.25", "92.3", "1.6", "26.4"]
+    first, second = (line.split()[2:] for line in text.splitlines() if "a detector" in line)
+    assert [*first, *second] == ["80.0", "0.25", "92.3", "31.2", "1.6", "26.4", "1.5", "12"]
 
 
 def test_corruption_errors_are_of_average_precisions_alone() -> None:
