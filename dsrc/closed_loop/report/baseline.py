@@ -10,7 +10,7 @@ from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.campaign.run import read_results
 from dsrc.closed_loop.metrics.comparison import collided
 from dsrc.closed_loop.metrics.statistics import paired_rates
-from dsrc.closed_loop.report.cells import condition, share
+from dsrc.closed_loop.report.cells import condition, scenario_title, share
 from dsrc.closed_loop.types import Outcome
 from dsrc.tables.table import Table
 from sim.errors import DataError, complaint
@@ -95,7 +95,7 @@ def _settings(one: EpisodeResult) -> tuple[object, ...]:
 
 def episode_name(one: EpisodeResult) -> str:
     """Return which episode a result is of, in a few words."""
-    return f"{one.scenario}, {one.perception}, {condition(one)}, seed {one.seed}"
+    return f"{scenario_title(one.scenario)}, {one.perception}, {condition(one)}, seed {one.seed}"
 
 
 def change_table(found: Sequence[Change]) -> Table:
@@ -128,7 +128,7 @@ def changed_table(found: Sequence[Change], most: int = 20) -> Table:
         for one in [one for one in found if one.kind == kind][:most]:
             assert one.now is not None
             assert one.before is not None
-            ends = (one.before.outcome, one.now.outcome)
-            rows.append((one.now.scenario, one.perception, condition(one.now), *ends, kind, one.now.seed))
+            title, ends = scenario_title(one.now.scenario), (one.before.outcome, one.now.outcome)
+            rows.append((title, one.perception, condition(one.now), *ends, kind, one.now.seed))
     heads = ("scenario", "perception", "condition", "before", "now", "", "seed")
     return Table.of(heads, rows, texts=6)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.metrics.comparison import collided, counted, metric
@@ -23,6 +24,12 @@ def groups(results: Sequence[EpisodeResult]) -> list[tuple[str, str, list[Episod
         for one in (one for one in results if one.perception == perception):
             found.setdefault((perception, condition(one)), []).append(one)
     return [(*key, group) for key, group in found.items()]
+
+
+def scenario_title(name: str) -> str:
+    """Return the title of a scenario by its name or path."""
+    path = Path(name)
+    return (path.parent if path.name == "scenario.toml" else path).name
 
 
 def condition(one: EpisodeResult) -> str:

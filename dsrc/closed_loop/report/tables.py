@@ -31,6 +31,7 @@ from dsrc.closed_loop.report.cells import (
     groups,
     number,
     percent,
+    scenario_title,
     share,
 )
 from dsrc.closed_loop.report.findings import NOTHING, Findings, counted_causes
@@ -226,7 +227,7 @@ def _scenarios(parts: Sequence[Sequence[EpisodeResult]]) -> Table:
         clean = [one for one in results if one.clean]
         for scenario in dict.fromkeys(one.scenario for one in clean):
             group = [one for one in clean if one.scenario == scenario]
-            title = f"{scenario} ({group[0].road_user})" if part else scenario
+            title = scenario_title(scenario) + (f" ({group[0].road_user})" if part else "")
             rows.append((title, *(_crashes([one for one in group if one.perception == name]) for name in names)))
     text = "Crashes, clean, of the episodes that met their encounter, with the Wilson interval of 95 %." + (
         " *: no class for the road user." if apart else ""
@@ -472,7 +473,7 @@ def _worst(result: CampaignResult) -> Table:
     columns += [Column("closing m/s", digits=1), Column("delta-v m/s", digits=1), Column("log", align="left")]
     rows = tuple(
         TableRow(
-            one.scenario,
+            scenario_title(one.scenario),
             (
                 *(one.seed, one.perception, condition(one), metric(one, "impact_mps"), metric(one, "delta_v_mps")),
                 f"episodes/{one.key}.npz",

@@ -5,7 +5,7 @@ from dataclasses import replace
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.perception.open import parse_perception
-from dsrc.closed_loop.report.cells import COLUMNS, condition_cells, groups
+from dsrc.closed_loop.report.cells import COLUMNS, condition_cells, groups, scenario_title
 from dsrc.closed_loop.types import FAILED
 from dsrc.tables.table import Cell, Column, Table, TableRow
 from sensors.corruptions import CLEAN
@@ -33,7 +33,7 @@ def summary_table(result: CampaignResult) -> Table:
         for perception, condition, group in groups([r for r in result.results if r.scenario == scenario]):
             values = [cell.partition(" [")[0] for cell in condition_cells(group)]
             name = perception if all(one.detectable for one in group) else f"{perception} *"
-            rows.append(TableRow(scenario, (name, condition, *values)))
+            rows.append(TableRow(scenario_title(scenario), (name, condition, *values)))
     caption = "\n".join(notes)
     title = result.plan.name if len(scenarios) > 1 else ""
     return Table("summary", title, "scenario", tuple(columns), tuple(rows), caption=caption, grouped=True)

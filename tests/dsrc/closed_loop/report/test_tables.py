@@ -110,6 +110,12 @@ def test_drivers_are_compared_with_themselves_alone() -> None:
     assert "pace" not in tables(CampaignResult(plan, results, (), (), 0, 0.0))
 
 
+def test_a_scenario_of_a_path_has_the_name_of_its_folder() -> None:
+    for path, title in (("runs/mined/queue_1", "queue_1"), ("town/scenario.toml", "town"), ("lta_truck", "lta_truck")):
+        rows = tables_of(*(replace(episode, scenario=path) for episode in RESULTS))["scenarios"]
+        assert [row[0] for row in rows] == ["scenario", title]
+
+
 def test_without_an_encounter_there_is_nobody_to_see() -> None:
     assert "causes" not in tables_of(one("alone", 0, "crashed", road_user="", duration_s=5.0))
 
