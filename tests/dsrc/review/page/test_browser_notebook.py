@@ -31,10 +31,9 @@ pytestmark = [
     pytest.mark.skipif(find_chromium() is None, reason="needs Chromium"),
 ]
 ROOT = Path(__file__).parents[4]
-RUN_ALL = "void window.jupyterapp.commands.execute('notebook:run-all-cells')"
-UNTOUCHED = "document.querySelector('.jp-CodeCell .jp-InputPrompt')?.textContent !== '[*]:'"
-UNTOUCHED += " && !document.querySelector('.jp-OutputArea-output')"
-CHOOSE = "document.querySelector('.jp-Dialog .jp-mod-accept')?.click()"
+STARTED = "window.jupyterapp?.shell.currentWidget?.sessionContext?.session?.kernel"
+RUN_ALL = f"{STARTED}.info.then(()=>{{void window.jupyterapp.commands.execute('notebook:run-all-cells')}})"
+"""Run the notebook once its kernel answers: before that it is asked for again, and a second one takes its place."""
 NUMBERS = """[...document.querySelectorAll('td')].map(e=>e.textContent)"""
 
 
@@ -93,16 +92,6 @@ def write_notebook(path: Path, source: str) -> None:
     path.write_text(json.dumps(content))
 
 
-def run_cell(page: BrowserPage) -> None:
-    """Run the cell once its kernel takes it: one that is still starting asks back, or drops it."""
-    end = time.monotonic() + PATIENCE_S
-    while page.evaluate(UNTOUCHED):
-        assert time.monotonic() < end, "the kernel does not start"
-        page.evaluate(CHOOSE)
-        page.evaluate(RUN_ALL)
-        time.sleep(5.0)
-
-
 def frame_in(page: BrowserPage) -> dict[str, Any] | None:
     """Frame of an address in a page, None before it is there."""
     frames = page.send("Page.getFrameTree")["frameTree"].get("childFrames", [])
@@ -138,10 +127,9 @@ def test_a_cell_shows_the_page_inline_with_the_counts_of_the_run(run: Path, tmp_
         open_page(f"{address}lab/tree/review.ipynb", (1400, 900)) as page,
     ):
         page.send("Emulation.setFocusEmulationEnabled", enabled=True)
-        page.wait_for("window.jupyterapp && document.querySelector('.jp-CodeCell')", PATIENCE_S)
-        run_cell(page)
-        # The kernel imports everything first.
-        wait_for(lambda: frame_in(page), 3 * PATIENCE_S, lambda: page.evaluate("document.body.innerText"))
+        page.wait_for(f"{STARTED} && document.querySelector('.jp-CodeCell')", PATIENCE_S)
+        page.evaluate(RUN_ALL)
+        wait_for(lambda: frame_in(page), otherwise=lambda: page.evaluate("document.body.innerText"))
         wait_for(lambda: "clean" in evaluate_in(page, NUMBERS))
         cells = evaluate_in(page, NUMBERS)
         missed, false = cells[cells.index("clean") + 3 :][:2]
