@@ -106,7 +106,7 @@ class ReviewApp:
         link = link_of(self.server, client.client_id)
         state, pose, complaints = read_link(link, self.model, self.start)
         session = Session(
-            *(self.model, self._using_model, self.worker, client, state),
+            *(self.model, self._using_model, self.worker, client, self.server.get_event_loop(), state),
             *(pose, "\n".join(complaints), self._world, self._wait_picture),
         )
         with self._changed:

@@ -4,6 +4,7 @@ The browser reports the pose of its camera late. A camera that is moved with the
 where it was, again and again; here the world moves instead, and the camera is the user's alone.
 """
 
+import asyncio
 import threading
 import time
 from collections import deque
@@ -110,26 +111,39 @@ PRESETS: dict[str, Callable[[FrameView, Follow], CameraPose]] = {"chase": chase,
 class BrowserCamera:
     """Camera of one browser, in a scene that moves with what the camera follows; threads share it.
 
+    Poses are set and reported in the event loop of the server: viser sends what differs from the last report, and sets
+    the point looked at relative to it, so that a report, or another thread, in between would leave the camera astray.
+
     Attributes:
         scene_from_review: (4, 4) pose of the review frame in the scene, as drawn last.
         drawn: state that was drawn last, None before the first.
     """
 
-    def __init__(self, client: viser.ClientHandle, start: CameraPose | None = None) -> None:
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        loop: asyncio.AbstractEventLoop,
+        start: CameraPose | None = None,
+        on_move: Callable[[CameraPose], None] = lambda _: None,
+    ) -> None:
         """Take the camera of a browser.
 
         Args:
+            loop: event loop of the server.
             start: first pose, in the scene; None for that of the state.
+            on_move: called in the event loop with a pose that other cells lack.
         """
         self.scene_from_review = np.eye(4)
         self.drawn: ReviewState | None = None
-        self._client, self._wanted = client, start
+        self._client, self._loop, self._wanted, self._on_move = client, loop, start, on_move
         self._preset: Camera | None = None
         self._given: tuple[CameraPose, bool] | None = None
         self._given_at = 0.0
         # Given before that, and not reported yet as far as is known.
         self._earlier: deque[CameraPose] = deque(maxlen=_REMEMBERED)
+        self._look_again: asyncio.TimerHandle | None = None
         self._lock = threading.Lock()
+        client.camera.on_update(self._reported)
 
     @property
     def pose(self) -> CameraPose | None:
@@ -166,7 +180,7 @@ class BrowserCamera:
         after = self.scene_from_review if gone else scene_from_review(state.camera, view, state.follow)
         pose = self._next(view, state, after)
         if pose is not None:
-            self.set(pose)
+            asyncio.run_coroutine_threadsafe(self._place(pose), self._loop).result()
         # Only now: until a browser is placed, what it reports is nobody's wish.
         self.scene_from_review, self.drawn = after, state
         return after
@@ -189,38 +203,51 @@ class BrowserCamera:
             return current.moved(after @ invert(self.scene_from_review))
         return None
 
-    def set(self, pose: CameraPose, own: bool = True) -> None:
-        """Set it to a pose in the scene; not `own` is that of another cell, whose user moved it."""
-        with self._lock:
-            if self._given is not None:
-                self._earlier.append(self._given[0])
-            self._given, self._given_at = (pose, own), time.monotonic()
-        camera = self._client.camera
-        camera.up_direction = pose.up
-        camera.position = pose.position
-        camera.look_at = pose.look_at
-        camera.fov = FOV_RAD
-        camera.near, camera.far = 0.5, 2000.0
+    async def _place(self, pose: CameraPose) -> None:
+        self.set(pose)
 
-    def is_news(self, pose: CameraPose) -> bool:
-        """Whether a reported pose is one that other cells lack.
+    def set(self, pose: CameraPose, own: bool = True) -> None:
+        """Set it, in the event loop, to a pose in the scene; not `own` is that of another cell, whose user moved it."""
+        if self._given is not None:
+            self._earlier.append(self._given[0])
+        self._given, self._given_at = (pose, own), time.monotonic()
+        camera = self._client.camera
+        with self._client.atomic():
+            camera.up_direction = pose.up
+            camera.position = pose.position
+            camera.look_at = pose.look_at
+            camera.fov = FOV_RAD
+            camera.near, camera.far = 0.5, 2000.0
+
+    async def _reported(self, _: object) -> None:
+        self._tell()
+
+    def _tell(self) -> None:
+        """Tell of the reported pose if other cells lack it, or look again once it is no late one any more.
 
         A browser reports late: until it reports the pose that it was given last, it tells of earlier ones. Those it was
-        given are known however late they come, as from a browser that draws in software.
+        given are known however late they come, as from a browser that draws in software. One whose user moves it before
+        it has reported that pose never reports it.
         """
-        with self._lock:
-            if self.drawn is None:
-                return False
-            if self._given is None:
-                return True
+        if self._look_again is not None:
+            self._look_again.cancel()
+            self._look_again = None
+        pose = self.pose
+        if self.drawn is None or pose is None:
+            return
+        if self._given is not None:
             given, own = self._given
             if _same(pose, given):
                 self._given = None
                 self._earlier.clear()
-                return own
-            if time.monotonic() <= self._given_at + LATE_S:
-                return False
-            return not any(_same(pose, one) for one in self._earlier)
+                if not own:
+                    return
+            elif any(_same(pose, one) for one in self._earlier):
+                return
+            elif (late_s := self._given_at + LATE_S - time.monotonic()) > 0.0:
+                self._look_again = self._loop.call_later(late_s, self._tell)
+                return
+        self._on_move(pose)
 
 
 def _same(one: CameraPose, other: CameraPose) -> bool:

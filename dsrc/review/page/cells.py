@@ -93,7 +93,7 @@ class CellPair:
             self._give(other, state)
 
     def camera_moved(self, cell: Page, pose: CameraPose) -> None:
-        """Take the camera of a cell, which its user moved, to the others."""
+        """Take the camera of a cell, which its user moved, to the others, in the event loop."""
         with self._lock:
             others = [one for one in self.cells if one is not cell]
         for other in others:

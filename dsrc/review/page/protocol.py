@@ -155,7 +155,7 @@ class Page(Protocol):
         """Move the camera near a point (3,) of the review frame, m."""
 
     def look(self, pose: CameraPose) -> None:
-        """Set the camera to a pose in the scene, that of another cell."""
+        """Set the camera, in the event loop, to a pose in the scene, that of another cell."""
 
     def views(self) -> list[tuple[ReviewState, CameraPose | None]]:
         """States and cameras of the cells, from the upper left, or of this one page."""

@@ -1,5 +1,6 @@
 """Session: page of one browser, with its own state, camera, selection and playing."""
 
+import asyncio
 import logging
 import threading
 import time
@@ -90,6 +91,7 @@ class Session:
         using_model: threading.Lock,
         worker: Worker,
         client: viser.ClientHandle,
+        loop: asyncio.AbstractEventLoop,
         state: ReviewState,
         pose: CameraPose | None = None,
         notice: str = "",
@@ -101,6 +103,7 @@ class Session:
         Args:
             model: drives, detector and caches, shared by all browsers.
             worker: detects over whole runs in the background, for all browsers.
+            loop: event loop of the server.
             pose: camera of the start, in the scene; None for that of the state.
             notice: text above the controls at the start.
             world_of: function from the row of a drive to its static world, and why that is not drawn.
@@ -130,7 +133,7 @@ class Session:
         self._search: Callable[[GoesOn], None] | None = None
         self._playing = False
         self._next_at = 0.0
-        self.camera, self.address = BrowserCamera(client, pose), AddressBar(client)
+        self.camera, self.address = BrowserCamera(client, loop, pose, self._take_along), AddressBar(client)
         self._on_close: list[Callable[[], None]] = []
         self._help: Any = None
         self._failed, self._told, self._told_of = False, notice, (state.drive, state.frame)
@@ -551,9 +554,8 @@ class Session:
                 self._tell_error("the panels", error)
 
     def look(self, pose: CameraPose) -> None:
-        """Set the camera to a pose in the scene, that of another cell."""
-        with self.client.atomic():
-            self.camera.set(pose, own=False)
+        """Set the camera, in the event loop, to a pose in the scene, that of another cell."""
+        self.camera.set(pose, own=False)
 
     def views(self) -> list[tuple[ReviewState, CameraPose | None]]:
         """States and cameras of the cells, from the upper left, or of this one page."""
@@ -575,8 +577,9 @@ class Session:
         with self._changed:
             self.address.fall_behind()
             self._changed.notify_all()
-        pose = self.camera.pose
-        if self.pair is not None and pose is not None and self.camera.is_news(pose):
+
+    def _take_along(self, pose: CameraPose) -> None:
+        if self.pair is not None:
             self.pair.camera_moved(self, pose)
 
 

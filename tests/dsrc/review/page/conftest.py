@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import msgspec
 import pytest
 import viser
+import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -16,12 +17,17 @@ from dsrc.review.page.session import Session
 
 
 class SocketBrowser:
-    """Connection of a browser that draws nothing."""
+    """Connection of a browser that draws nothing.
+
+    Attributes:
+        camera: position and point looked at that it was given last, by the names of their messages.
+    """
 
     def __init__(self, app: ReviewApp, link: str = "", width: int = 1280) -> None:
         """Connect to the page of `app` as if its address had the query `link`."""
         url = f"{app.url.replace('http', 'ws')}/?{link}"
         known = set(app.sessions)
+        self.camera: dict[str, Sequence[float]] = {}
         self.socket = connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, compression=None)
         self.look_from((30.0, 0.0, 20.0), (0.0, 0.0, 0.0), width)
         threading.Thread(target=self._take, daemon=True).start()
@@ -51,7 +57,15 @@ class SocketBrowser:
     def _take(self) -> None:
         try:
             while True:
-                self.socket.recv()
+                content = self.socket.recv()
+                assert isinstance(content, bytes)
+                # Two numbers of bytes, the messages, and their arrays.
+                packed = zstandard.decompress(content[16 : 16 + int.from_bytes(content[8:16], "little")])
+                for message in msgspec.msgpack.decode(packed)["messages"]:
+                    if not message.get("initial"):
+                        given = {"SetCameraPositionMessage": "position", "SetCameraLookAtMessage": "look_at"}
+                        if (name := given.get(message["type"])) is not None:
+                            self.camera[name] = message[name]
         except ConnectionClosed:
             pass
 

@@ -101,6 +101,31 @@ def test_a_camera_moves_the_other_and_no_echo_comes_back(cells: tuple[SocketBrow
     wait_for(lambda: np.allclose(pose(left), [0.0, 6.0, 9.0]))
 
 
+def test_a_fast_drag_ends_in_both_cells_at_one_pose(cells: tuple[SocketBrowser, SocketBrowser]) -> None:
+    left, right = cells
+    arrive(left, right)
+    before = pose(right).tolist()
+    for _ in range(5):
+        for step in range(60):
+            left.look_from((5.0, 6.0, 7.0 + step), (1.0, 2.0, 0.1 * step))
+            right.look_from(before, (0.0, 0.0, 0.0))
+        wait_for(lambda: np.allclose(right.camera["position"], [5.0, 6.0, 66.0]))
+        wait_for(lambda: np.allclose(right.camera["look_at"], [1.0, 2.0, 5.9]))
+
+
+def test_a_drag_before_the_browser_has_reported_its_place_moves_the_other_too(
+    cells: tuple[SocketBrowser, SocketBrowser], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = cells
+    arrive(right)
+    monkeypatch.setattr("dsrc.review.page.cameras.LATE_S", 0.5)
+    left.session.camera.reset()
+    left.session.update(threshold=0.6)
+    left.session.wait_drawn()
+    left.look_from((5.0, 6.0, 7.0), (1.0, 2.0, 0.0))
+    wait_for(lambda: np.allclose(pose(right), [5.0, 6.0, 7.0]))
+
+
 def test_a_pose_that_a_slow_browser_was_given_long_ago_moves_no_other(
     cells: tuple[SocketBrowser, SocketBrowser], monkeypatch: pytest.MonkeyPatch
 ) -> None:
