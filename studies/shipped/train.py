@@ -37,7 +37,7 @@ SETTINGS = (
     "validate_every=4",
     "validation_frames=24",
 )
-"""Changes of the recipe `small`; lifts are errors of the fitted ground, thinning stands for sensors of fewer beams."""
+"""Changes of a recipe; lifts are errors of the fitted ground, thinning stands for sensors of fewer beams."""
 
 
 HALF = f"bfloat16={str(BFLOAT16 or torch.cuda.is_available()).lower()}"
@@ -58,6 +58,9 @@ class Run:
         steps: of `BATCH` frames.
         rate: peak learning rate.
         teacher: name of the run that teaches it; "" for none.
+        seed: of weights, order and augmentation.
+        settings: further changes of the recipe.
+        base: name of the recipe that all of this changes.
     """
 
     name: str
@@ -67,6 +70,9 @@ class Run:
     steps: int
     rate: float
     teacher: str = ""
+    seed: int = 0
+    settings: tuple[str, ...] = ()
+    base: str = "small"
 
     def recipe(self, share: float = 1.0, workers: int = 1) -> Recipe:
         """Return its recipe, with a share of its steps."""
@@ -74,9 +80,8 @@ class Run:
         frames = min(FRAMES, drawn)
         size = (f"epochs={max(drawn // frames, 1)}", f"epoch_frames={frames}", f"learning_rate={self.rate}")
         alone = "augmentation.alone=1" if self.method in ALONE else "augmentation.alone=0.4"
-        return override(
-            of_method(RECIPES["small"](), self.method), (*SETTINGS, *size, alone, HALF, f"workers={workers}")
-        )
+        changes = (*SETTINGS, *size, alone, HALF, f"workers={workers}", *self.settings)
+        return override(of_method(RECIPES[self.base](), self.method), changes)
 
 
 PLAN = (

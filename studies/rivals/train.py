@@ -1,0 +1,184 @@
+"""Trainings and tables of a question: rivals, parts of DSRC, or the paper's scale; see `plan.md`.
+
+What is finished stays, an interrupted training goes on at its last epoch, and at the end `dsrc benchmark` measures all
+that the tables name, under the six corruptions in both families. A sitting on a machine that is given back: `--minutes`
+ends it, and `--kept` is a folder of detector files in half precision, one for each finished training, that is brought
+back and taken to the next. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the plan.
+
+Usage:
+    python -m studies.rivals.train rivals --data data/dsrc-sim-2 --out runs/rivals
+    python -m studies.rivals.train parts --data data/dsrc-sim-2 --out runs/parts
+    python -m studies.rivals.train scale --data data/dsrc-sim-2 --out runs/scale --kept kept --minutes 40
+"""
+
+import argparse
+import json
+import math
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from dsrc.cli.evaluate import Benchmark
+from dsrc.data.drives import list_drives, open_drive
+from dsrc.data.sample import make_sample
+from dsrc.models.storage.checkpoint import load_detector, read_meta
+from dsrc.options.detection import Device
+from dsrc.training.recipes import RECIPES
+from dsrc.training.run_folder import DETECTOR, RESULT
+from dsrc.training.train import train
+from sim.files import write_file
+from studies.look import put_table
+from studies.rivals.questions import QUESTIONS, Training, pairs
+from studies.shipped.train import STARTS
+
+LEAST_SCORE = 0.05
+"""Score from which boxes count."""
+HEAD = ("method", "trainings", "steps of the kept weights", "parameters, M", "GFLOP a frame", "AP@0.5 / 0.7, %")
+
+
+def main() -> None:
+    description, _, usage = (__doc__ or "").partition("\n\n")
+    parser = argparse.ArgumentParser(
+        description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("question", choices=QUESTIONS)
+    parser.add_argument("--data", type=Path, default=Path("data/dsrc-sim-2"), help="with train, validation, unseen")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the runs and of the benchmark")
+    parser.add_argument("--kept", type=Path, help="folder of detectors of finished trainings; default: none")
+    parser.add_argument("--minutes", type=float, help="end of this sitting; default: when all is done")
+    parser.add_argument("--share", type=float, default=1.0, help="share of the steps, to try the plan")
+    parser.add_argument("--recipe", choices=sorted(RECIPES), help="in place of the plan's, to try a small network")
+    parser.add_argument("--frames", type=int, help="frames of the benchmark; default: all")
+    parser.add_argument("--workers", type=int, default=1, help="processes that prepare batches")
+    parser.add_argument("--list", action="store_true", help="print the plan and train nothing")
+    options = parser.parse_args()
+    begun = time.monotonic()
+    if options.minutes is not None:
+        signal.signal(signal.SIGALRM, signal.default_int_handler)
+        signal.setitimer(signal.ITIMER_REAL, 60.0 * options.minutes)
+    try:
+        measured = list(finished(options))
+        if not options.list:
+            measure(options, measured)
+    except (KeyboardInterrupt, SystemExit):
+        if options.minutes is None or time.monotonic() - begun < 60.0 * options.minutes:
+            raise
+        print("the sitting is over; the same command goes on", flush=True)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def finished(options: argparse.Namespace) -> Iterator[Training]:
+    """Finish the trainings of a question one after the other; yield those that are measured."""
+    steps = 0
+    for one in QUESTIONS[options.question](lambda name: score(name, options)):
+        run = replace(one, base=options.recipe or one.base)
+        steps += run.steps
+        start = f"from {run.start}" if run.start else "from random weights"
+        print(f"{run.name}: {run.method}, {run.stage}, at most {run.steps} steps, {start}", flush=True)
+        if not options.list:
+            begun = time.monotonic()
+            finish(run, options)
+            print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
+        if run.title:
+            yield run
+    print(f"at most {steps} steps in all")
+
+
+def finish(run: Training, options: argparse.Namespace) -> None:
+    """Train a run that is not finished, and keep its detector."""
+    if done(run.name, options) is None:
+        made = train(
+            run.recipe(options.share, options.workers),
+            options.data / "train",
+            options.out / run.name,
+            run.stage,
+            teacher=done(run.teacher, options),
+            validate=options.data / "validation",
+            seed=run.seed,
+            init=done(run.start, options),
+        )
+        if options.kept:
+            options.kept.mkdir(parents=True, exist_ok=True)
+            part = options.kept / f"{run.name}.part"
+            shutil.copyfile(made, part)
+            part.replace(options.kept / f"{run.name}.pt")
+
+
+def done(name: str, options: argparse.Namespace) -> Path | None:
+    """Return the detector of a finished run, or of a start that ships with the studies; None without one."""
+    places = [STARTS / f"{name}.pt", *([options.kept / f"{name}.pt"] if options.kept else [])]
+    if (options.out / name / RESULT).is_file():
+        places.append(options.out / name / DETECTOR)
+    return next((path for path in places if path.is_file()), None)
+
+
+def detector_of(name: str, options: argparse.Namespace) -> Path:
+    """Return the detector of a run that is finished."""
+    path = done(name, options)
+    if path is None:
+        raise FileNotFoundError(name)
+    return path
+
+
+def validated(name: str, options: argparse.Namespace) -> tuple[float, float]:
+    """Return AP@0.5 and AP@0.7 of a run on the validation drives; NaN of one that is not finished."""
+    path = done(name, options)
+    metrics = {} if path is None else read_meta(path).get("metrics")
+    found = metrics if isinstance(metrics, dict) else {}
+    half, seven = (float(found.get(f"val/ap_bev_{iou}", math.nan)) for iou in (50, 70))
+    return half, seven
+
+
+def score(name: str, options: argparse.Namespace) -> float:
+    """Return the sum by which trainings are ranked."""
+    return sum(validated(name, options))
+
+
+def measure(options: argparse.Namespace, measured: list[Training]) -> None:
+    """Print what the methods cost, write the plan of the benchmark, and run it."""
+    titles: dict[str, list[Training]] = {}
+    for run in measured:
+        titles.setdefault(run.title, []).append(run)
+    put_table(None, "costs", HEAD, [cost(title, runs, options) for title, runs in titles.items()])
+    lines = [f"name = {json.dumps(options.question)}", 'corruption = ["paper_six"]', 'family = ["paper", "physical"]']
+    lines += [f"frames = {options.frames}"] if options.frames else []
+    for title, runs in titles.items():
+        files = [str(detector_of(run.name, options).resolve()) for run in runs]
+        lines += ["", "[[methods]]", f"name = {json.dumps(title)}", f"detectors = {json.dumps(files)}"]
+        lines += [f"use = {{score_threshold = {LEAST_SCORE}}}"]
+    drives = json.dumps([str((options.data / "unseen").resolve())])
+    lines += ["", "[[datasets]]", f"name = {json.dumps(options.data.name)}", f"drives = {drives}"]
+    for method, baseline in pairs(list(titles)):
+        lines += ["", "[[differences]]", f"method = {json.dumps(method)}", f"baseline = {json.dumps(baseline)}"]
+    plan = options.out / "benchmark.toml"
+    write_file(plan, "\n".join(lines) + "\n", edited=True)
+    device: Device = "cuda" if torch.cuda.is_available() else "cpu"
+    Benchmark(plan=plan, out=options.out / "benchmark", device=device).run()
+
+
+def cost(title: str, runs: list[Training], options: argparse.Namespace) -> tuple[str, ...]:
+    """Return the row of a method in the table of costs; GFLOP are those of a validation frame with all its agents."""
+    detector = load_detector(detector_of(runs[0].name, options))
+    drive = open_drive(list_drives(options.data / "validation")[0])
+    sample = make_sample(drive.read(0), None, detector.settings.request)
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        detector.detect(sample)
+    steps, ap = [], np.array([validated(run.name, options) for run in runs]).mean(axis=0)
+    for run in runs:
+        recipe, epoch = run.recipe(options.share), read_meta(detector_of(run.name, options))["epoch"]
+        steps.append((int(str(epoch)) + 1) * (recipe.epoch_frames or 0) // recipe.batch_size)
+    millions = 1e-6 * sum(weight.numel() for weight in detector.parameters())
+    sizes = f"{millions:.2f}", f"{1e-9 * counter.get_total_flops():.0f}"
+    return title, str(len(runs)), " ".join(map(str, steps)), *sizes, " / ".join(f"{100.0 * value:.1f}" for value in ap)
+
+
+if __name__ == "__main__":
+    main()

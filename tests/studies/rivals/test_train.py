@@ -1,0 +1,81 @@
+"""Trainings of the three questions: their order, one factor each, and a tiny run that a sitting cuts."""
+
+import math
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from dsrc.data.formats.opv2v.reader import write_frame
+from studies.rivals.questions import CHANGES, DSRC, PLAIN, QUESTIONS, RIVALS, STRONGEST, Training, pairs, parts, rivals
+from studies.shipped.train import STARTS
+from tests.commands import study
+from tests.dsrc.training.drive import frame
+
+
+def plan(question: str) -> list[Training]:
+    return list(QUESTIONS[question](lambda name: math.nan))
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_every_training_comes_after_what_it_starts_from_and_is_taught_by(question: str) -> None:
+    known = {"", *(path.stem for path in STARTS.glob("*.pt"))}
+    for run in plan(question):
+        assert run.name not in known and {run.start, run.teacher} <= known
+        assert bool(run.teacher) == run.recipe().settings(run.stage).distils or run.stage == "teacher"
+        known.add(run.name)
+
+
+def test_all_rivals_have_the_same_start_and_length_and_the_best_of_the_same_rates() -> None:
+    known = {
+        "attfuse-rate-0.0015": 1.2,
+        "ermvp-0": 1.5,
+        "late-0": 1.4,
+        "early-0": 1.3,
+        "cobevt-0": 1.2,
+        "max-map-0": 0.9,
+    }
+    runs = list(rivals(lambda name: known.get(name, 0.8 if "rate-0.0005" in name else 0.1)))
+    firsts = {run.method: run for run in runs if run.title and run.seed == 0}
+    assert set(firsts) == {"attfuse", "dsrc", *RIVALS}
+    assert {(run.start, run.steps, run.settings) for run in firsts.values()} == {
+        ("alone", 10_000, firsts["attfuse"].settings)
+    }
+    assert {name for name, run in firsts.items() if run.rate == 1.5e-3} == {"attfuse"}
+    trainings = {name: sum(run.title == firsts[name].title for run in runs) for name in firsts}
+    strongest = {"ermvp", "late", "early", "cobevt"}
+    assert (
+        trainings == {name: 5 if name in ("attfuse", "dsrc") else 3 if name in strongest else 1 for name in firsts}
+        and len(strongest) == STRONGEST
+    )
+
+
+def test_a_part_differs_from_dsrc_in_one_factor() -> None:
+    runs = {run.title: run for run in parts(lambda name: math.nan) if run.title and run.seed == 0}
+    whole = runs[DSRC]
+    for title in CHANGES:
+        one = runs[f"{DSRC}, {title}"]
+        same = [field.name for field in fields(one) if getattr(one, field.name) == getattr(whole, field.name)]
+        assert {"method", "stage", "start", "steps", "rate", "seed", "base"} <= set(same)
+        assert one.settings != whole.settings and one.recipe().epochs == whole.recipe().epochs
+    assert set(pairs(list(runs))) >= {
+        (DSRC, PLAIN),
+        (f"{DSRC}, wide", f"{PLAIN}, wide"),
+        (DSRC, f"{DSRC}, no painting"),
+    }
+
+
+@pytest.mark.slow
+def test_a_sitting_that_ends_goes_on_from_the_detectors_brought_back(tmp_path: Path) -> None:
+    for split, first in (("train", 0), ("validation", 10), ("unseen", 20)):
+        for index in range(first, first + (4 if split == "train" else 1)):
+            write_frame(tmp_path / split / f"{split}_drive", frame(index))
+    small = ("--data", str(tmp_path), "--recipe", "debug", "--share", "0.0001", "--workers", "0", "--frames", "1")
+    kept = ("--kept", str(tmp_path / "kept"))
+    cut = study("rivals.train", "scale", *small, *kept, "--out", str(tmp_path / "first"), "--minutes", "0.0001")
+    assert cut.endswith("the sitting is over; the same command goes on\n")
+    whole = study("rivals.train", "scale", *small, *kept, "--out", str(tmp_path / "second"))
+    assert {path.stem for path in (tmp_path / "kept").iterdir()} == {run.name for run in plan("scale")}
+    assert f"| {PLAIN} | 1 | 1 |" in whole and "v2x-vit" in (tmp_path / "second/benchmark/tables.md").read_text()
+    again = study("rivals.train", "scale", *small, *kept, "--out", str(tmp_path / "third"))
+    assert not list((tmp_path / "third").glob("*/detector.pt")) and f"| {PLAIN} | 1 | 1 |" in again
