@@ -105,7 +105,10 @@ class DifferenceTable:
                 what = f"{condition_title(one.condition)} at {one.iou:g} ({_signed(one.value.mean)})"
                 found.setdefault(self._pair(one), []).append(what)
         if not found:
-            return "No difference is resolved: of each of them at least one interval holds 0 or is unknown."
+            known = any(not math.isnan(one.by_drive.low) for one in self.differences)
+            why = "of each of them at least one interval holds 0 or is unknown"
+            why = why if known else "frames of one drive say nothing of other drives"
+            return f"No difference is resolved: {why}."
         listed = "; ".join(f"{pair}: {', '.join(several)}" for pair, several in found.items())
         return f"Resolved, both intervals exclude 0: {listed}. No other difference is."
 

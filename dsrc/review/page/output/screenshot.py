@@ -12,9 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from dsrc.review.page.offline.overlay import STOP
-from sim.errors import DataError, SettingsError
-from sim.files import write_file
+from sim.errors import SettingsError
 
 PATIENCE_S = 300.0
 """Longest time for which a browser is waited for, s: one that draws in software on a busy machine is slow."""
@@ -33,12 +31,6 @@ _FLAGS = (
     "--remote-debugging-port=0",
 )
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-# Notices (`Software WebGL`, `connecting`) would lie over the picture.
-_HIDE_NOTICES = """
-document.head.insertAdjacentHTML('beforeend','<style>.mantine-Notifications-root{display:none!important}</style>')
-"""
-# The player of an exported page is the only one with a slider and without a connection to a server.
-_READY = "document.querySelector('canvas') && (!window.__VISER_EMBED_DATA__ || document.querySelector('[role=slider]'))"
 
 
 def find_chromium() -> str | None:
@@ -94,19 +86,18 @@ class BrowserPage:
 
 
 @contextmanager
-def open_page(address: str, size: tuple[int, int] = (1280, 720), chromium: str | None = None) -> Iterator[BrowserPage]:
+def open_page(address: str, size: tuple[int, int] = (1280, 720)) -> Iterator[BrowserPage]:
     """Open an address in a new browser, closed at the end of the block.
 
     Args:
         size: width and height of the page in pixels.
-        chromium: path of the browser; default: the installed one.
 
     Raises:
         SettingsError: no Chromium is installed, or it does not start.
     """
     from websockets.sync.client import connect
 
-    program = chromium or find_chromium()
+    program = find_chromium()
     if program is None:
         raise SettingsError(f"screenshot: no browser found; install one of: {', '.join(_NAMES)}")
     with tempfile.TemporaryDirectory(prefix="review-", ignore_cleanup_errors=True) as profile:
@@ -153,43 +144,3 @@ def _page_socket(browser: subprocess.Popen, profile: Path) -> str:
                 return str(pages[0]["webSocketDebuggerUrl"])
         time.sleep(0.05)
     raise SettingsError("screenshot: the browser did not start")
-
-
-def screenshot(
-    url_or_file: str | Path,
-    out_png: Path,
-    size: tuple[int, int] = (1280, 720),
-    settle_s: float = 4.0,
-    pause: bool = True,
-    script: str = "",
-) -> Path:
-    """Write a PNG of a live or an exported page.
-
-    Args:
-        url_or_file: URL, or path of an HTML file.
-        settle_s: time for drawing once the canvas exists, s.
-        pause: stop an exported page at its first frame: software rendering is slower than its player.
-        script: JavaScript to run first, such as a click on a button.
-
-    Raises:
-        DataError: the file is missing.
-        SettingsError: no Chromium is installed, or it does not start.
-    """
-    address = str(url_or_file)
-    if not address.startswith(("http://", "https://")):
-        path = Path(url_or_file)
-        if not path.is_file():
-            raise DataError(f"{path}: no such page")
-        address = path.resolve().as_uri()
-    with open_page(f"{address}?fixedDpr=1&darkMode", size) as page:
-        page.wait_for(_READY, 90.0)
-        page.evaluate(_HIDE_NOTICES)
-        if pause:
-            page.evaluate(STOP)
-        if script:
-            page.evaluate(script)
-        time.sleep(settle_s)
-        content = page.png()
-    out_png = Path(out_png)
-    write_file(out_png, content)
-    return out_png

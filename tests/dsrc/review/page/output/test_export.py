@@ -1,4 +1,5 @@
 import base64
+import io
 import json
 import re
 from dataclasses import replace
@@ -15,8 +16,9 @@ from dsrc.ops.detections import Detections
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.link import linked_views
+from dsrc.review.page.offline.overlay import STOP
 from dsrc.review.page.output.export import export_html, export_pictures, export_states
-from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page, screenshot
+from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page
 from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
 from sensors.frame import Frame
@@ -182,13 +184,19 @@ def test_an_address_is_a_link_and_that_of_cells_has_no_one_picture(model: Review
         next(export_pictures(model, address))
 
 
-def test_a_picture_of_nothing_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DataError, match="no such page"):
-        screenshot(tmp_path / "none.html", tmp_path / "none.png")
-    (tmp_path / "some.html").write_text("<p>")
+def test_without_a_browser_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(SettingsError, match="no browser found"):
-        screenshot(tmp_path / "some.html", tmp_path / "none.png")
+    with pytest.raises(SettingsError, match="no browser found"), open_page("about:blank"):
+        pass
+
+
+def shown(page: Path, size: tuple[int, int]) -> np.ndarray:
+    """(H, W, 3) picture of an exported page, stopped at its first frame: software draws more slowly than it plays."""
+    with open_page(f"{page.resolve().as_uri()}?fixedDpr=1&darkMode", size) as opened:
+        opened.wait_for("document.querySelector('canvas') && document.querySelector('[role=slider]')", 90.0)
+        opened.evaluate(STOP)
+        opened.evaluate("new Promise(done=>setTimeout(done,3000))")
+        return np.asarray(Image.open(io.BytesIO(opened.png())).convert("RGB"))
 
 
 def near(image: np.ndarray, rgb: palette.Rgb) -> int:
@@ -201,11 +209,8 @@ def near(image: np.ndarray, rgb: palette.Rgb) -> int:
 
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
-def test_an_exported_page_shows_the_scene_and_its_legend(page: Path, tmp_path: Path) -> None:
-    from matplotlib.image import imread
-
-    picture = screenshot(page, tmp_path / "page.png", (640, 400), settle_s=3.0)
-    image = (imread(picture) * 255).astype(np.uint8)
+def test_an_exported_page_shows_the_scene_and_its_legend(page: Path) -> None:
+    image = shown(page, (640, 400))
     assert image.shape[:2] == (400, 640)
     assert near(image[:, 340:], palette.TP) > 15
 
@@ -228,7 +233,7 @@ def test_a_page_and_its_picture_show_the_frame_that_their_text_names(drive: Fake
     states = [ReviewState(frame=row, threshold=0.3 if row == 0 else 1.0, max_points=500) for row in range(4)]
     model = ReviewModel([drive], FindsAll())
     out = export_states(model, states, tmp_path / "page.html")
-    picture = np.asarray(Image.open(screenshot(out, tmp_path / "page.png", (900, 400), 2.0)).convert("RGB"))
+    picture = shown(out, (900, 400))
     assert near(picture[:360, 350:], palette.FN) == 0 and near(picture[:360, 300:], palette.TP) > 15
     with open_page(f"{out.resolve().as_uri()}?fixedDpr=1", (900, 400)) as opened:
         opened.wait_for("document.querySelector('[role=slider]')", 60.0)
