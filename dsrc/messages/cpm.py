@@ -1,10 +1,12 @@
 """Collective Perception Message of ETSI TS 103 324 V2.1.1 (2023-06): what it states, how finely, and what is left out.
 
-Resolutions and ranges are those of the data elements of `PerceivedObject` in ETSI TS 102 894-2 V2.1.1, see `quantised`.
-Nothing is encoded: sizes are those of `sim.radio.cpm_bytes`.
+Resolutions and ranges are those of the data elements of `PerceivedObject` in ETSI TS 102 894-2 V2.1.1, see `quantised`,
+as ETSI documents its ASN.1 modules (forge.etsi.org/rep/ITS/asn1/cdd_ts102894_2). Nothing is encoded: sizes are those of
+`sim.radio.cpm_bytes`.
 
 Redundancy mitigation, off unless a rule is named: a sender leaves out what others told within the last second. Two of
-the rules of ETSI TR 103 562 V2.1.1, with the values that the simulator Artery has for them:
+the rules of ETSI TR 103 562 V2.1.1, which annex E of TS 103 324 names without numbers as ways to value information; the
+values are those of the simulator Artery:
 
 * `dynamics`: an object that since then moved by at most 4 m and changed its speed by at most 0.5 m/s;
 * `distance`: an object that a station within 10 m of the sender told.
@@ -56,9 +58,12 @@ def quantised(objects: Objects, rate: Array) -> tuple[Objects, Array]:
     """Return objects and their (N,) turn rates, rad/s, as a message states them.
 
     Data elements of ETSI TS 102 894-2 V2.1.1: `CartesianCoordinateLarge` 0.01 m, here from the world's origin in place
-    of the sender; `VelocityComponentValue` 0.01 m/s, to 163.83; `CartesianAngleValue` 0.1 degrees;
+    of the sender; `VelocityComponentValue` 0.01 m/s, -163.82 to 163.81; `CartesianAngleValue` 0.1 degrees;
     `CartesianAngularVelocityComponentValue` 1 degree/s, to 254; `ObjectDimensionValue` 0.1 to 25.4 m in steps of 0.1;
-    `ConfidenceLevel` 1 to 100 %.
+    `ConfidenceLevel` 1 to 100 %. Values beyond are stated as out of range there, and as the last one within it here.
+
+    Value n stands for the step that ends at n. Here values are rounded to the nearest: half a step of error at most, as
+    that of a receiver who takes the middle of the step.
     """
     boxes = objects.boxes
     stated = Boxes(
@@ -68,7 +73,7 @@ def quantised(objects: Objects, rate: Array) -> tuple[Objects, Array]:
         boxes.label,
         boxes.object_id,
     )
-    velocity = _steps(objects.velocity, 0.01, -163.83, 163.83)
+    velocity = _steps(objects.velocity, 0.01, -163.82, 163.81)
     turning = _steps(rate, np.radians(1.0), -np.radians(254.0), np.radians(254.0))
     return Objects(stated, _steps(objects.score, 0.01, 0.01, 1.0), velocity), turning
 

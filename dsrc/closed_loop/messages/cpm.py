@@ -5,8 +5,12 @@
 * Vehicles and motorcycles, Type-B, are told when they are new, have moved more than 4 m, changed their speed by more
   than 0.5 m/s or their direction by 4 degrees, or were told a second ago (6.1.2.3, rule 2). What is slower than 0.5 m/s
   has no direction: that of a standing track is noise.
-* Pedestrians and bicycles, Type-A: all of them when one is new or was told half a second ago (6.1.2.3, rule 1).
+* Pedestrians and bicycles, Type-A: one when it is new; all of them when one was told half a second ago (6.1.2.3,
+  rule 1).
 * With a rule of redundancy mitigation, what others told is left out, see `dsrc.messages.cpm`.
+
+The rules were compared with those in Artery's `CpService`, which quotes the clause. The threshold of object perception
+quality is left to the tracker, and no object is told ahead of the next event, which the clause allows.
 
 Times are those of the sweep, to the millisecond. Objects are tracks: the message states velocities and turn rates.
 """
@@ -91,7 +95,7 @@ class CpmSender:
     def _due(self, tracks: Tracks, time_s: float) -> np.ndarray:
         """Return (N,) which tracks are told now."""
         soft = np.isin(tracks.boxes.label, _TYPE_A)
-        due = np.zeros(len(tracks), bool)
+        due, soft_due = np.zeros(len(tracks), bool), False
         for row, number in enumerate(tracks.boxes.object_id.tolist()):
             last = self._told.get(number)
             if last is None:
@@ -99,7 +103,7 @@ class CpmSender:
                 continue
             age_s = time_s - last.time_s + _SLACK_S
             if soft[row]:
-                due[row] = age_s >= 0.5 * LONGEST_S
+                soft_due |= age_s >= 0.5 * LONGEST_S
                 continue
             velocity = tracks.velocity[row]
             speeds = np.linalg.norm([last.velocity, velocity], axis=1)
@@ -110,7 +114,7 @@ class CpmSender:
                 or abs(speeds[1] - speeds[0]) > FASTER_MPS
                 or (speeds.min() > FASTER_MPS and abs(turned[0]) >= np.radians(TURNED_DEG))
             )
-        return due | (soft & bool(due[soft].any()))
+        return due | (soft & soft_due)
 
 
 class CpmPicture:

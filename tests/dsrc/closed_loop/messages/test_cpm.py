@@ -85,14 +85,14 @@ def test_a_car_that_brakes_is_told_for_its_speed_before_it_has_moved_4_m() -> No
     assert steady.min() > 0.45 and braking.max() < 0.25
 
 
-def test_one_new_pedestrian_makes_all_of_them_told() -> None:
-    sender = CpmSender()
+def test_a_new_pedestrian_is_told_alone_and_with_all_others_once_one_is_due() -> None:
+    sender, told = CpmSender(), dict[int, int]()
     for step in range(13):
-        both = seen((10.0, 3.0, WALKER), *([(20.0, -3.0, WALKER)] if step >= 8 else []))
+        both = seen((10.0, 3.0, WALKER), *([(20.0, -3.0, WALKER)] if step >= 4 else []))
         message = sender.message(both, 0.1 * step, HERE)
-        if message is not None and len(message.objects) == 2:
-            break
-    assert 8 <= step <= 10, "the new one, and the other with it, before its own half second is over"
+        if message is not None:
+            told[step] = len(message.objects)
+    assert told == {0: 1, 4: 1, 5: 2, 10: 2}, "the second is new at 0.4 s, the first due at 0.5 s, and with it both"
 
 
 def test_a_receiver_moves_what_it_knows_and_forgets_what_is_told_no_more() -> None:
