@@ -116,7 +116,7 @@ def with_shares(
         titles: displayed names by agent, in the order of the frame.
         place: (3,) centre of a detection in the ego LiDAR's frame, m; None for an object.
     """
-    hit = isinstance(details, ObjectDetails) or details.verdict == "true positive"
+    hit = isinstance(details, ObjectDetails) or details.verdict == "true"
     for one in shared.boxes:
         near = place is not None and one.object_id == -1 and np.hypot(*(place[:2] - one.box[:2])) < _SAME_M
         if one.object_id == details.object_id if hit else near:

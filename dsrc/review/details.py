@@ -59,7 +59,7 @@ def verdict_on(object_id: int, judged: JudgedRun, threshold: float, iou: float) 
     rank = int(judged.at(iou).found_by[rows[0]])
     if rank < 0:
         return "missed", math.nan, math.nan
-    verdict = "detected" if rank < judged.kept(threshold) else "missed"
+    verdict = "found" if rank < judged.kept(threshold) else "missed"
     return verdict, float(judged.table.score[rank]), judged.nearest_at(iou, rank)[1]
 
 
@@ -77,7 +77,7 @@ def detection_details(
     ego_id = int(judged.table.ego_id[0])
     box = judged.boxes[rank : rank + 1].transform(frame.agent(ego_id).sweep.world_from_lidar)
     nearest, overlap = judged.nearest_at(iou, rank)
-    verdict = "true positive" if judged.at(iou).matched[rank] >= 0 else "false positive"
+    verdict = "true" if judged.at(iou).matched[rank] >= 0 else "false"
     return DetectionDetails(
         rank=rank,
         class_name=CLASSES[box.label[0]],

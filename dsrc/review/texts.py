@@ -14,7 +14,7 @@ from dsrc.review.view import OTHER_TRUTH, AgentShare, AgentView, DetectionDetail
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
 from sensors.sweep import MOVED, SCATTERED
 
-_SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by a collaborator only", BY_NOBODY: "not seen"}
+_SEEN_BY = {BY_EGO: "seen by the ego", BY_HELPER: "seen by helpers alone", BY_NOBODY: "seen by nobody"}
 
 
 def quoted(text: str) -> str:
@@ -44,7 +44,7 @@ def _plain(cell: str) -> str:
 
 
 def frame_report(view: FrameView) -> str:
-    """Markdown of a frame: number, time, TP, FP, FN, precision and recall."""
+    """Markdown of a frame: number, time, true and false boxes, missed objects, precision and recall."""
     head = f"**Frame {view.index}** · {view.time_s:.1f} s"
     if not view.labelled:
         boxes = f" {view.detected} detections." if view.detected else ""
@@ -56,7 +56,7 @@ def frame_report(view: FrameView) -> str:
     table = "\n".join(
         f"| {name} | {c.tp} | {c.fp} | {c.fn} | {_share(c.precision)} | {_share(c.recall)} |" for name, c in rows
     )
-    columns = "| | TP | FP | FN | prec. | recall |\n|:--|--:|--:|--:|--:|--:|"
+    columns = "| | true | false | missed | prec. | recall |\n|:--|--:|--:|--:|--:|--:|"
     return f"{head}\n\n{columns}\n{table}"
 
 
@@ -64,7 +64,7 @@ def notice_text(view: FrameView) -> str:
     """Explanation of missing detections in a frame, and counts of the methods drawn over the judged one."""
     compared = [(quoted(one.name), one.counts) for one in view.compared if one.counts is not None]
     rows = "\n".join(f"| {name} | {c.tp} | {c.fp} | {c.fn} |" for name, c in compared)
-    table = f"| over it | TP | FP | FN |\n|:--|--:|--:|--:|\n{rows}" if rows else ""
+    table = f"| over it | true | false | missed |\n|:--|--:|--:|--:|\n{rows}" if rows else ""
     return "\n\n".join(part for part in (quoted(view.notice), table) if part)
 
 
@@ -123,7 +123,7 @@ def _object_card(details: ObjectDetails) -> str:
 
 def _detection_card(details: DetectionDetails) -> str:
     head = f"**{details.class_name}, score {details.score:.2f}**"
-    verdict = f", {details.verdict}" if details.verdict else ""
+    verdict = f", **{details.verdict}**" if details.verdict else ""
     why = f"\n\n{quoted(details.cause)}" if details.cause else ""
     nearest = "overlaps no object" if details.object_id is None else f"IoU {details.iou:.2f} with {details.object_id}"
     rows = "\n".join(f"| {agent} | {points} |" for agent, points in details.points)
@@ -149,26 +149,31 @@ def _size(size: tuple[float, float, float]) -> str:
 def box_legend(view: FrameView) -> list[tuple[Rgb, str, str]]:
     """Colours of the boxes, what they mean, and the names of their counts in an exported page, "" without one."""
     ink = palette.LOOKS[view.state.theme].ink
-    other = (palette.OTHER, "object, not evaluated", "other")
+    other = [(palette.OTHER, "object, not evaluated", "other")] if len(view.layers[OTHER_TRUTH]) else []
     if view.help is not None:
         return [
             (ink, "object, coloured by who helped most", "found"),
-            (ink, "false detection, crossed, by who made it", "made"),
+            (ink, "false box, crossed, by who made it", "made"),
             (palette.FP, "red cross: an agent lowers the score", "harmed"),
             (palette.FN, "missed by all, dashed", "missed"),
-            other,
+            *other,
         ]
     if not view.labelled:
         return [(ink, "detection, not judged", "detected")]
     if view.counts is None:
-        return [(ink, "object in sight of an agent", "objects"), other]
+        return [(ink, "object in sight of an agent", "objects"), *other]
     judged = view.state.color_by == "verdict"
     return [
-        (palette.TP if judged else ink, "true positive", "tp"),
-        (palette.FP if judged else ink, "false positive, crossed", "fp"),
-        (palette.FN if judged else ink, "false negative, dashed", "fn"),
-        (palette.OTHER, "object, not evaluated", ""),
+        (palette.TP if judged else ink, "true box", "true"),
+        (palette.FP if judged else ink, "false box, crossed", "false"),
+        (palette.FN if judged else ink, "missed object, dashed", "missed"),
+        *other,
     ]
+
+
+def agent_rgb(agent: AgentView, view: FrameView) -> Rgb | None:
+    """Colour that an agent has in a frame; None where colour tells something else: the ego's body alone keeps it."""
+    return agent.rgb if agent.is_ego or view.state.color_by == "agent" else None
 
 
 def fate_legend(view: FrameView) -> list[tuple[Rgb, str]]:
@@ -197,23 +202,30 @@ _STANDS = 0.1
 
 def legend(view: FrameView) -> str:
     """HTML of the legend."""
-    rows: list[tuple[Rgb, str, bool]] = [(agent.rgb, _title(agent), False) for agent in view.agents]
+    rows: list[tuple[Rgb | None, str, bool]] = [(agent_rgb(agent, view), _title(agent), False) for agent in view.agents]
     rows += [(*row, False) for row in fate_legend(view)]
     for number, method in enumerate(view.compared, start=1):
         rows.append((palette.method_color(number), f"{method.name}: found, false crossed, missed dashed", True))
-    if view.moment is not None:
-        rows += [
-            (palette.method_color(1), "track, with its way in a second; thick where it decides", True),
-            (view.ego.rgb, "plan of three seconds; messages received", False),
-            (palette.FP, "message lost, dashed", False),
-            (palette.FATE_COLORS[SCATTERED], "false object that a helper claims, crossed", True),
+    if (moment := view.moment) is not None:
+        shown: list[tuple[str, bool, tuple[Rgb, str, bool]]] = [
+            ("tracks", True, (palette.method_color(1), "track, its way in a second; thick: it decides", True)),
+            ("plan", True, (view.ego.rgb, "plan of three seconds", False)),
+            ("links", bool(moment.links.received.any()), (view.ego.rgb, "message received", False)),
+            ("links", not moment.links.received.all(), (palette.FP, "message lost, dashed", False)),
+            ("claims", len(moment.claims) > 0, (palette.FATE_COLORS[SCATTERED], "claimed by a liar, crossed", True)),
+            (
+                "seen",
+                moment.unseen is not None,
+                (palette.UNSEEN[:3], "shaded: unseen in every sweep that arrived", False),
+            ),
         ]
-        if view.moment.unseen is not None:
-            rows.append((palette.UNSEEN[:3], "shaded: unseen in every sweep that arrived", False))
+        rows += [row for layer, there, row in shown if there and layer not in view.state.layers_off]
     rows += [(rgb, text, True) for rgb, text, _ in box_legend(view)]
     lines = "".join(_legend_row(*row) for row in rows)
     bar = scale_bar(view.state.color_by)
-    return f'<div style="padding:.2em 1em .4em;font-size:.82em;line-height:1.6">{bar}{lines}</div>'
+    # Below the counts; of a long one the rest is scrolled to.
+    style = "padding:.2em 1em .4em;font-size:.82em;line-height:1.6;max-height:45vh;overflow:auto"
+    return f'<div style="{style}">{bar}{lines}</div>'
 
 
 def fates_table(view: FrameView) -> str:
@@ -276,7 +288,7 @@ def scale_bar(color_by: ColorBy) -> str:
 
 def _title(agent: AgentView) -> str:
     lost = f", {thousands(agent.lost)} lost" if agent.lost else ""
-    return f"{agent.title}{' · ego' if agent.is_ego else ''} · {thousands(agent.total)} points{lost}"
+    return f"{agent.title} · {thousands(agent.total)} points{lost}"
 
 
 def thousands(count: int) -> str:
@@ -284,10 +296,10 @@ def thousands(count: int) -> str:
     return f"{count:,}".replace(",", "\u202f")
 
 
-def _legend_row(rgb: Rgb, text: str, outlined: bool) -> str:
-    color = palette.css(rgb)
+def _legend_row(rgb: Rgb | None, text: str, outlined: bool) -> str:
+    color = "transparent" if rgb is None else palette.css(rgb)
     fill = f"border:2px solid {color};border-radius:2px" if outlined else f"background:{color};border-radius:50%"
     # A line around it shows white on a white panel.
-    edge = "box-shadow:0 0 0 1px rgba(112,122,140,.6)"
+    edge = "" if rgb is None else "box-shadow:0 0 0 1px rgba(112,122,140,.6)"
     mark = f'<span style="flex:none;width:.7em;height:.7em;box-sizing:border-box;{fill};{edge}"></span>'
     return f'<div style="display:flex;gap:.6em;align-items:baseline">{mark}<span>{escape(text)}</span></div>'

@@ -59,9 +59,14 @@ class AgentView:
     lost_points: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
     @property
-    def title(self) -> str:
-        """Displayed name."""
+    def name(self) -> str:
+        """Displayed name where any agent may be chosen, whoever detects."""
         return f"{'roadside unit' if self.kind == 'roadside' else 'vehicle'} {abs(self.agent_id)}"
+
+    @property
+    def title(self) -> str:
+        """Displayed name by its part in the frame, that of the sentences of causes."""
+        return "ego" if self.is_ego else self.name.replace("vehicle", "helper")
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +109,8 @@ class _Details:
         class_name: of `sim.boxes.CLASSES`.
         size: length, width, height, m.
         distance_m: from the ego to its centre, in the plane.
-        verdict: `detected`, `missed` or `not evaluated` of an object, `true positive` or `false positive` of a
-            detection; "" without a detector or labels.
+        verdict: `found`, `missed` or `not evaluated` of an object, `true` or `false` of a detection; "" without a
+            detector or labels.
         score: of the detector; NaN for an object without a detection.
         iou: of the detection with its object, or with the one that it overlaps most; NaN or 0 without.
         cause: why the object is missed or the detection false, "" where it is not.

@@ -33,6 +33,7 @@ MissedKind = Literal[
     "hidden",
     "message missing",
     "few points",
+    "amid made points",
     "no box",
 ]
 """Causes of a missed object, in the order in which they are looked for."""
@@ -252,6 +253,12 @@ class _Judged:
             for kind, name, shift in self._shifts(main, row):
                 if np.hypot(*shift) >= 0.5 * self.truth.size[row, 1]:
                     return kind, f"no box; {name} moves its points by {np.hypot(*shift):.1f} m", None, main
+        objects, made, cells = self._points_over(self.truth.array[row])
+        own, amid = np.unique(cells[objects == self.truth.object_id[row]]), np.unique(cells[made])
+        if len(amid) and (share := float(np.isin(own, amid).mean())) >= 0.5:
+            count, by = int(np.count_nonzero(made)), self.known.condition or "the corruption"
+            why = f"no box; {count} points made by {by} lie over it, in {share:.0%} of the cells with its own"
+            return "amid made points", why, None, None
         whole = self.left[row] >= before
         return "no box", "no box overlaps it" + (f", with {before} points on it" if whole else ""), None, None
 
@@ -285,7 +292,7 @@ class _Judged:
             return self._of(box, int(self.objects[near[0]]))
         if over:
             return self._of(box, max(over, key=lambda one: over[one]))
-        objects, made, cells = self._points_over(box)
+        objects, made, cells = self._points_over(self.boxes.array[box])
         inside, count = len(made), int(np.count_nonzero(made))
         alone, area = len(np.unique(cells)) - len(np.unique(cells[~made])), len(np.unique(cells))
         if count and max(count / inside, alone / area) >= 0.5:
@@ -400,9 +407,9 @@ class _Judged:
             return f"{left} points on it"
         return f"{left} of {before} points left" + (f" in {self.known.condition}" if self.known.condition else "")
 
-    def _points_over(self, box: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-        """(P,) points of the team over a box's floor: object, whether a corruption made it, number of its cell."""
-        column = self.boxes.array[box : box + 1].copy()
+    def _points_over(self, box: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+        """(P,) points of the team over the floor of a (7,) box: object, whether a corruption made it, its cell."""
+        column = box[None].copy()
         column[:, 2] += 0.5 * (_COLUMN_M - column[:, 5])
         column[:, 5] = _COLUMN_M
         one = Boxes.from_array(column).transform(self.lidar)

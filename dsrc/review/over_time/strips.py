@@ -43,7 +43,7 @@ def over_time(model: Judgements, state: ReviewState, view: FrameView) -> str:
         edges = f"{line.time_s[0]:.1f} s", f"{line.time_s[-1]:.1f} s"
     details, history, method = view.details, model.histories[state.drive], model.method(state)
     run = model.run(state.drive, method, model.setup(state)) if details is not None and method else None
-    if isinstance(details, DetectionDetails) and details.verdict != "true positive" and run is not None:
+    if isinstance(details, DetectionDetails) and details.verdict != "true" and run is not None:
         strips += box_strips(run, history.lidars(view.ego.agent_id), details.rank, state)
     elif details is not None and details.object_id is not None:
         seen = history.of(details.object_id, view.ego.agent_id)

@@ -462,7 +462,7 @@ class SceneWriter:
 
 
 def _agent_node(agent: AgentView) -> str:
-    return f"agents/{'ego ' if agent.is_ego else ''}{agent.title}".replace(" ", "_")
+    return f"agents/{'ego ' if agent.is_ego else ''}{agent.name}".replace(" ", "_")
 
 
 def _boxes_clicked(view: FrameView, layer: str) -> tuple[Clicked, ...]:

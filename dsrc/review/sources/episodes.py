@@ -254,7 +254,7 @@ def _links(percept: Percept | None, actors: Actors, ego: EgoState) -> Links:
     unknown = np.full(3, np.nan)
     line = [[places.get(link.sender, unknown), ego.box.center[0]] for link in links]
     received = np.array([link.received for link in links], bool)
-    names = ["roadside unit" if link.sender < 0 else "vehicle" for link in links]
+    names = ["roadside unit" if link.sender < 0 else "helper" for link in links]
     senders = tuple(f"{name} {abs(link.sender)}" for name, link in zip(names, links, strict=True))
     age_s = np.array([link.age_s for link in links], np.float64)
     return Links(np.array(line, np.float64).reshape(-1, 2, 3), received, senders, age_s)

@@ -188,7 +188,7 @@ def test_object_details_as_text(truth_model: ReviewModel) -> None:
     text = selection_report(truth_model.view(ReviewState(object_id=1003)).details)
     assert "**car 1003**, seen by the ego" in text
     assert "3.0 m/s, -2.5 m/s² · brake light · lane main\\_0" in text
-    assert "| vehicle 1000 | 40 | 25 % |" in text
+    assert "| ego | 40 | 25 % |" in text
     unknown = selection_report(truth_model.view(ReviewState(object_id=1005)).details)
     assert (
         "seen by the ego\n\n4.4 × 1.9 × 1.6 m · 60.0 m away · 0.0 m/s\n\n" in unknown

@@ -13,7 +13,7 @@ from html import escape
 from dsrc.review.page.browser import HONEST_COLORS, NOTICE
 from dsrc.review.page.cameras import CameraPose
 from dsrc.review.palette import Rgb, css
-from dsrc.review.texts import box_legend, fate_legend, scale_bar
+from dsrc.review.texts import agent_rgb, box_legend, fate_legend, scale_bar
 from dsrc.review.view import OTHER_TRUTH, FrameView
 
 SHOWN = "/shown"
@@ -108,7 +108,7 @@ def frame_texts(view: FrameView, subtitle: str) -> dict[str, str]:
         return {**texts, "objects": str(len(view.truth) - other), "other": str(other)}
     counts = view.counts
     share = [("precision", counts.precision), ("recall", counts.recall)]
-    texts |= {"tp": str(counts.tp), "fp": str(counts.fp), "fn": str(counts.fn)}
+    texts |= {"true": str(counts.tp), "false": str(counts.fp), "missed": str(counts.fn), "other": str(other)}
     return texts | {name: "–" if value is None else f"{value:.2f}" for name, value in share}
 
 
@@ -127,8 +127,7 @@ def overlay(texts: list[dict[str, str]], views: list[FrameView], cameras: list[C
         return f'<{element} id="review-{name}">{said.get(name, "")}</{element}>'
 
     agents = "".join(
-        _row(agent.rgb, "", escape(f"{agent.title}{' · ego' if agent.is_ego else ''}"),
-             own(f"points-{agent.agent_id}", "small"))
+        _row(agent_rgb(agent, first), "", escape(agent.title), own(f"points-{agent.agent_id}", "small"))
         for agent in rows.values()
     )  # fmt: skip
     if bar := scale_bar(first.state.color_by):
@@ -191,6 +190,6 @@ def page_html(page: str, body: str, title: str) -> str:
     return f"{page[:head]}<title>{escape(title)}</title>{page[head:end]}{body}{page[end:]}"
 
 
-def _row(rgb: Rgb, kind: str, label: str, end: str) -> str:
-    style = f"{'border-color' if kind else 'background'}:{css(rgb)}"
+def _row(rgb: Rgb | None, kind: str, label: str, end: str) -> str:
+    style = "visibility:hidden" if rgb is None else f"{'border-color' if kind else 'background'}:{css(rgb)}"
     return f'<li><i class="{kind}" style="{style}"></i>{label}{end}</li>'

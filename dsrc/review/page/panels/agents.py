@@ -17,7 +17,7 @@ class AgentsPanel(Panel):
 
     def show(self, shown: Shown) -> None:
         """List the agents again when others are there, and set their switches."""
-        agents = {} if shown.view is None else {agent.agent_id: agent.title.capitalize() for agent in shown.view.agents}
+        agents = {} if shown.view is None else {agent.agent_id: agent.name.capitalize() for agent in shown.view.agents}
         if agents and list(agents) != list(self.switches):
             for switch in self.switches.values():
                 switch.handle.remove()

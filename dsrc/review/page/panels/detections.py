@@ -9,7 +9,7 @@ from dsrc.review.state import IOU_THRESHOLDS
 
 
 def _agents(shown: Shown) -> dict[str, Any]:
-    return {"–": None} if shown.view is None else {agent.title: agent.agent_id for agent in shown.view.agents}
+    return {"–": None} if shown.view is None else {agent.name: agent.agent_id for agent in shown.view.agents}
 
 
 def _ego(shown: Shown) -> int | None:

@@ -261,6 +261,26 @@ def test_flakes_all_over_a_box_made_it_though_a_pole_in_it_has_more_points() -> 
             )
 
 
+def test_an_object_is_amid_flakes_where_they_share_half_of_the_cells_of_its_points() -> None:
+    of, ego = frame({**OFTEN, OPEN: (0, 0)}), frame(OFTEN).agents[0].sweep
+    own = np.array([[12.0 + x, 9.0, 0.8 - LIDAR_M] for x in (-1.8, -1.0, -0.2, 0.6)] * 10)
+    for cells, kind in ((2, "amid made points"), (1, "no box")):
+        points = np.concatenate([own, own[:cells] + np.array([0.0, 0.0, 2.0])])
+        fate = np.repeat(np.array([KEPT, SCATTERED], np.uint8), [len(own), cells])
+        ids = [OPEN] * len(own) + [-2] * cells
+        sweep = make_sweep(points, ego.world_from_lidar, 0.7, object_id=ids)
+        seen = replace(
+            of.with_sweeps([sweep, of.agents[1].sweep]), points_on=of.points_on + 40 * (boxes().object_id == OPEN)
+        )
+        snowed = seen.with_sweeps(
+            [make_sweep(points, ego.world_from_lidar, 0.7, object_id=ids, fate=fate), of.agents[1].sweep]
+        )
+        cause = the_one(seen, [TRUCK_BOX, HIDDEN_BOX], Circumstances("snow 5", snowed))
+        assert (cause.kind, cause.object_id) == (kind, OPEN)
+        if kind == "amid made points":
+            assert cause.sentence == "no box; 2 points made by snow 5 lie over it, in 50% of the cells with its own"
+
+
 def test_echoes_above_a_low_box_made_it_as_columns_are_what_a_detector_sees() -> None:
     of, right = frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, OPEN_BOX]
     ghost, ego, helper = ([-15.0, 5.0, 0.8, 4.0, 1.8, 1.6, 0.0], 0.5), *(agent.sweep for agent in of.agents)

@@ -92,7 +92,7 @@ def test_a_false_box_is_followed_over_the_frames_and_not_the_object_beside_it(mo
     state = ReviewState(frame=4, threshold=0.2)
     state = replace(state, detection=model.view(state).detected - 1)
     view = model.view(state)
-    assert view.details.verdict == "false positive"
+    assert view.details.verdict == "false"
     read_all(model.histories[0])
     run = model.run(0, "detector", model.setup(state))
     strips = box_strips(run, model.histories[0].lidars(1000), view.details.rank, state)

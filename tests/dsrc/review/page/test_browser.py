@@ -272,7 +272,7 @@ def test_a_click_on_a_box_opens_its_card(opened: Opened, layer: str, field: str)
     opened.press(SIZE[0] / 2, SIZE[1] / 2)
     wait_for(lambda: getattr(session.state, field) is not None)
     details = session.wait_drawn(PATIENCE_S).details
-    words = f"score {details.score:.2f}, false positive" if field == "detection" else f"car {details.object_id}"
+    words = f"score {details.score:.2f}, false" if field == "detection" else f"car {details.object_id}"
     opened.page.wait_for(f"document.body.innerText.includes('{words}')", PATIENCE_S)
 
 
@@ -338,7 +338,7 @@ def test_a_narrow_window_starts_with_the_legend_alone_and_moves_no_other_browser
         wait_for(lambda: "frame=7" in page.evaluate("location.search"))
         text = page.evaluate("document.body.innerText")
         assert "Corruption" not in text
-        assert all(word in text for word in ("Frame 7", "this frame", "true positive", "vehicle 1002"))
+        assert all(word in text for word in ("Frame 7", "this frame", "true box", "helper 1002"))
         time.sleep(1.0)
         assert first.state.frame == 0
         np.testing.assert_allclose(first.client.camera.position, place, atol=1e-3)

@@ -27,7 +27,6 @@ pytest.importorskip("jupyter_server_proxy")
 pytestmark = [
     pytest.mark.extra,
     pytest.mark.browser,
-    pytest.mark.slow,
     pytest.mark.skipif(find_chromium() is None, reason="needs Chromium"),
 ]
 ROOT = Path(__file__).parents[4]

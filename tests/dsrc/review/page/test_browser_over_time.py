@@ -48,6 +48,6 @@ def test_a_click_on_a_bar_of_the_scores_selects_what_lies_there(model: ReviewMod
             opened.press(x + (8.0 + 0.425 * 264.0) / 280.0 * width, y + 50.0)
             wait_for(lambda: opened.session.state.detection is not None)
             details = opened.session.wait_drawn().details
-            assert details.verdict == "false positive" and details.score == pytest.approx(0.4)
+            assert details.verdict == "false" and details.score == pytest.approx(0.4)
     finally:
         app.close()

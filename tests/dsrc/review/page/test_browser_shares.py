@@ -32,7 +32,7 @@ def test_boxes_have_the_colour_of_who_helped_until_the_verdict_is_asked_for() ->
                 assert shown(image, palette.AGENT_COLORS[row]) > 15, f"box of agent {row}"
             assert shown(image, palette.FP) > 5 and shown(image, palette.FN) > 15  # harmed, missed
             assert shown(image, palette.TP) == 0
-            for text in ("coloured by who helped most", "who helped", "vehicle 1000 alone"):
+            for text in ("coloured by who helped most", "who helped", "ego alone"):
                 page.wait_for(f"document.body.innerText.includes('{text}')", PATIENCE_S)
             session.update(boxes_by="verdict")
             session.wait_drawn(PATIENCE_S)

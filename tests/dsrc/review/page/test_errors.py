@@ -56,10 +56,10 @@ def test_n_goes_to_the_next_missed_object_box_card_and_camera(session: Session, 
 
 def test_p_goes_to_false_detections_alone(session: Session) -> None:
     RUN["Next false detection"](session)
-    assert session.state.detection is not None and missed(session) == "false positive"
+    assert session.state.detection is not None and missed(session) == "false"
     first = session.state.frame
     RUN["Next false detection"](session)
-    assert session.state.frame == first + 1 and missed(session) == "false positive"
+    assert session.state.frame == first + 1 and missed(session) == "false"
 
 
 def test_the_last_one_says_that_there_is_none_after_it(session: Session) -> None:
@@ -347,7 +347,7 @@ def test_a_bar_of_the_histogram_goes_through_the_errors_with_its_scores(session:
     for _ in range(12):
         errors._to_bin(clicked(8))
         details = session.wait_drawn().details
-        assert details.verdict == "false positive" and details.score == pytest.approx(0.4)
+        assert details.verdict == "false" and details.score == pytest.approx(0.4)
         seen.add(session.state.frame)
     assert len(seen) == 12, "each click goes on to the next one"
     errors._to_bin(clicked(1))
@@ -361,7 +361,7 @@ def test_a_place_of_the_curve_sets_the_threshold_that_has_its_recall(session: Se
         errors._to_recall(clicked(recall))
         view = session.wait_drawn()
         assert session.state.threshold == pytest.approx(score, abs=1e-3)
-        assert view.details.score == pytest.approx(score) and view.details.verdict == "true positive"
+        assert view.details.score == pytest.approx(score) and view.details.verdict == "true"
         assert view.counts.tp == round((0.9 - score) * 10) + 1
 
 

@@ -87,7 +87,7 @@ def test_lost_points_are_drawn_and_all_are_counted(session: Session, lab: Corrup
     np.testing.assert_allclose(drawn, agent.lost_points, atol=0.05)
     ours = {tuple(point) for point in whole.points.tolist()} - {tuple(point) for point in agent.points.tolist()}
     assert ours == {tuple(point) for point in agent.lost_points.tolist()}
-    wait_for(lambda: ["vehicle 1000", f"{agent.total}", "0", "0", f"{agent.lost}"] in counted(lab))
+    wait_for(lambda: ["ego", f"{agent.total}", "0", "0", f"{agent.lost}"] in counted(lab))
     session.update(color_by="agent")
     session.wait_drawn()
     assert not node(session, "/agents/ego_vehicle_1000/lidar/lost").visible
@@ -96,7 +96,7 @@ def test_lost_points_are_drawn_and_all_are_counted(session: Session, lab: Corrup
 def test_moved_points_are_counted_as_such(session: Session, lab: CorruptionLabPanel) -> None:
     session.update(corruption="noise", parameters=(("size_m", 0.2),))
     agent = session.wait_drawn().agents[0]
-    wait_for(lambda: ["vehicle 1000", f"{agent.total}", "0", f"{agent.total}", "0"] in counted(lab))
+    wait_for(lambda: ["ego", f"{agent.total}", "0", f"{agent.total}", "0"] in counted(lab))
     assert counted(lab)[0] == ["", "points", "added", "moved", "lost"]
 
 

@@ -127,7 +127,7 @@ def test_sweeps_of_a_log_are_cast_again_once_its_world_is_built(monkeypatch: pyt
     view = model.view(state)
     assert [agent.agent_id for agent in view.agents] == [toy.EGO, toy.HELPER]
     assert all(agent.total > 0 for agent in view.agents)
-    assert view.moment.links.senders == (f"vehicle {toy.HELPER}",) and view.moment.links.age_s == pytest.approx([0.2])
+    assert view.moment.links.senders == (f"helper {toy.HELPER}",) and view.moment.links.age_s == pytest.approx([0.2])
     helped, alone = (model.view(ReviewState(frame=row)) for row in (4, 6))
     behind_the_wall = unseen_at(helped, 30.0, 7.0), unseen_at(alone, 30.0, 7.0)
     assert behind_the_wall == (False, True), "its helper sees the road there"
@@ -135,7 +135,7 @@ def test_sweeps_of_a_log_are_cast_again_once_its_world_is_built(monkeypatch: pyt
     hidden = [
         one.agent for one in model.view(ReviewState(frame=4, object_id=toy.HIDDEN)).details.visibility if one.points
     ]
-    assert hidden == [f"vehicle {toy.HELPER}"]
+    assert hidden == [f"helper {toy.HELPER}"]
 
 
 def unseen_at(view: FrameView, x: float, y: float) -> bool:

@@ -59,21 +59,21 @@ def test_the_card_has_the_shares_of_what_is_selected(model: ReviewModel) -> None
     for by in ("shares", "verdict"):
         details = model.view(ReviewState(object_id=1004, boxes_by=by)).details
         assert [(one.agent, one.share, one.without) for one in details.shares] == [
-            ("vehicle 1000", 0.3, 0.5),
-            ("vehicle 1002", -0.2, 0.7),
+            ("ego", 0.3, 0.5),
+            ("helper 1002", -0.2, 0.7),
             ("roadside unit 1", 0.4, 0.1),
         ]
         card = selection_report(details)
-        assert "| vehicle 1000 alone | 0.30 | |" in card and "| vehicle 1002 | -0.20 | 0.70 |" in card
+        assert "| ego alone | 0.30 | |" in card and "| helper 1002 | -0.20 | 0.70 |" in card
         assert "| all | 0.50 | |" in card
     assert model.view(ReviewState(object_id=1000)).details.shares == ()
     ghost = model.method(ReviewState())
     rank = len(model._detections(ReviewState(), ghost).boxes) - 1
     found = model.view(ReviewState(detection=rank, boxes_by="verdict")).details
-    assert found.verdict == "false positive" and [one.share for one in found.shares] == [0.1, 0.3]
+    assert found.verdict == "false" and [one.share for one in found.shares] == [0.1, 0.3]
     assert "who helped" not in selection_report(replace(found, shares=()))
     hit = model.view(ReviewState(detection=0, boxes_by="verdict")).details
-    assert hit.verdict == "true positive" and sum(one.share for one in hit.shares) == pytest.approx(0.8)
+    assert hit.verdict == "true" and sum(one.share for one in hit.shares) == pytest.approx(0.8)
 
 
 def test_frames_without_shares_say_where_there_are_some(

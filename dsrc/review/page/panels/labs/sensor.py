@@ -83,7 +83,7 @@ def usual_place(spec: LidarSpec, agent: AgentView | None, height_m: float) -> Pl
 
 def _carriers(shown: Shown) -> dict[str, Any]:
     agents = () if shown.view is None else shown.view.agents
-    return {"ego": "ego", "pole": "pole", **{agent.title: str(agent.agent_id) for agent in agents}}
+    return {"ego": "ego", "pole": "pole", **{agent.name: str(agent.agent_id) for agent in agents}}
 
 
 class SensorLabPanel(Panel):

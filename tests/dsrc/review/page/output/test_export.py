@@ -65,8 +65,8 @@ def test_the_legend_holds_the_counts_of_every_frame(page: Path, model: ReviewMod
     data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", page.read_text())[1])
     assert len(data["frames"]) == 4
     counts = model.view(ReviewState(frame=2)).counts
-    assert data["frames"][2]["fn"] == str(counts.fn)
-    assert data["frames"][2]["tp"] == str(counts.tp)
+    assert data["frames"][2]["missed"] == str(counts.fn)
+    assert data["frames"][2]["true"] == str(counts.tp)
     assert len(data["cameras"]) == 3
 
 
@@ -105,17 +105,17 @@ def test_detections_without_labels_are_called_so_and_counted(
     html = export_states(ReviewModel([drive], Finds()), [ReviewState()], tmp_path / "page.html").read_text()
     data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])
     assert "detection, not judged" in html and data["frames"][0]["detected"] == "1"
-    assert not any(word in html for word in ("ground truth", "false positive", "IoU ≥"))
+    assert not any(word in html for word in ("ground truth", "false box", "IoU ≥"))
 
 
 def test_boxes_by_who_helped_are_explained_and_counted(drive: FakeDrive, tmp_path: Path) -> None:
     model = ReviewModel([SharedSource(drive, shared_street())], FakeDetector())
     html = export_states(model, [ReviewState()], tmp_path / "page.html").read_text()
     counts = json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])["frames"][0]
-    assert "red cross: an agent lowers the score" in html and "false positive" not in html
+    assert "red cross: an agent lowers the score" in html and "true box" not in html
     assert [counts[name] for name in ("found", "made", "harmed", "missed")] == ["3", "1", "1", "1"]
     judged = export_states(model, [ReviewState(boxes_by="verdict")], tmp_path / "page.html").read_text()
-    assert "false positive" in judged and "red cross" not in judged
+    assert "true box" in judged and "red cross" not in judged
 
 
 def test_what_colours_of_points_mean_is_explained_where_they_show_it(truth_model: ReviewModel, tmp_path: Path) -> None:
@@ -250,12 +250,12 @@ def test_a_page_and_its_picture_show_the_frame_that_their_text_names(drive: Fake
             opened.evaluate("new Promise(done=>setTimeout(done,1500))")
             text = {
                 name: opened.evaluate(f"document.getElementById('review-{name}').textContent")
-                for name in ("time", "fn", "subtitle")
+                for name in ("time", "missed", "subtitle")
             }
             later = keys[-1] == "middle"
             assert text["time"].startswith("frame 2" if later else "frame 0"), keys
             threshold = text["subtitle"].split(" · ")[1]
-            assert (text["fn"], threshold) == (("5", "score ≥ 1") if later else ("0", "score ≥ 0.3"))
+            assert (text["missed"], threshold) == (("5", "score ≥ 1") if later else ("0", "score ≥ 0.3"))
             assert (missed_pixels(opened, tmp_path) > 50) is later, keys
             moved = opened.evaluate("window.__viserMutable.nodePoseData['/drive'].position")
             expected = [-4.0, 0.0, 0.0] if later else [0.0, 0.0, 0.0]
