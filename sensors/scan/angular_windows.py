@@ -82,9 +82,9 @@ def runs_of(azimuth: Array, start: float, width: float, spread: float) -> list[t
         spread: most that a ray leaves its column's azimuth, rad.
 
     Returns:
-        None to three; two for an arc that the field of view cuts.
+        None to three without common columns; two for an arc that the field of view cuts.
     """
-    low, wide = start - spread, width + 2.0 * spread
+    low, wide = start - spread, min(width + 2.0 * spread, _TURN)
     turn = np.ceil((min(azimuth[0], azimuth[-1]) - low - wide) / _TURN)
     found = [between(azimuth, low + _TURN * (turn + i), low + _TURN * (turn + i) + wide) for i in range(3)]
     return [(first, after) for first, after in found if after > first]

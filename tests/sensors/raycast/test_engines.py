@@ -230,6 +230,29 @@ def test_a_ray_along_an_axis_costs_its_neighbours_no_hit(engine: Engine, across:
     assert (engine.cast(sphere, origins, along, np.full(16, 50.0, np.float32)).face >= 0).all()
 
 
+@pytest.mark.parametrize("across", [0.0, 1e-20, -1e-20])
+@pytest.mark.parametrize("what", ["world", "body", "braking body"])
+def test_a_column_along_an_axis_costs_a_sweep_no_hit(engine: Engine, what: str, across: float) -> None:
+    """The same in the packets of a sweep: of a block as a whole, and of each column for a body on no straight line."""
+    spec = msgspec.structs.replace(
+        EIGHT, elevation_deg=(-4.0,), columns=16, azimuth_start_deg=-1.25, azimuth_end_deg=2.75, range_noise_m=0.0
+    )
+    sphere = trimesh.creation.icosphere(3, 2.0)
+    sphere.face_attributes["material"] = np.full(len(sphere.faces), material_index("asphalt"), np.uint8)
+    scene = RayScene(sphere if what == "world" else None, body_mesh=lambda model, size: sphere)
+    scene.engine = engine
+    if what != "world":
+        moved_m = 0.5 if what == "braking body" else 0.0
+        before, now, after = (
+            cars([[x, 0.0, 0.0]], time_s=t, size=(4.0, 4.0, 4.0))
+            for x, t in ((-moved_m, 2.95), (0.0, 3.0), (0.0, 3.05))
+        )
+        scene = scene.with_bodies(now, before, after)
+    pose = pose_matrix([-6.5, -5e-4, 0.4], across)
+    sensor = Sensor(spec, Path.through([2.9, 3.1], [pose, pose]), 3.0, np.random.default_rng(0))
+    assert len(scan_all(scene, [sensor])[0]) == spec.columns
+
+
 def test_distances_to_a_box_from_inside_are_exact(engine: Engine) -> None:
     mesh = trimesh.creation.box((4.0, 6.0, 8.0))
     directions = rays([[1, 0, 0], [0, 1, 0], [0, 0, -1]])

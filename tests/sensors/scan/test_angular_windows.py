@@ -52,6 +52,17 @@ def test_a_hull_around_the_sensor_spans_all_columns() -> None:
         assert columns_in(ALL_AROUND, *arc_of(*discs)) == set(range(3600))
 
 
+@pytest.mark.parametrize("azimuth", [ALL_AROUND, ALL_AROUND[::-1], ALL_AROUND[900:2700], ALL_AROUND + 2.0])
+def test_no_column_counts_twice_however_wide_an_arc_and_its_spread_are(azimuth: np.ndarray) -> None:
+    for start in np.random.default_rng(0).uniform(-np.pi, np.pi, 20):
+        for width, spread in ((0.2, 0.1), (2 * np.pi - 0.1, 0.2), (2 * np.pi, 0.0), (2 * np.pi, 0.1)):
+            runs = runs_of(azimuth, start, width, spread)
+            columns = [column for first, after in runs for column in range(first, after)]
+            assert len(columns) == len(set(columns))
+            if width + 2 * spread >= 2 * np.pi:
+                assert len(columns) == len(azimuth)
+
+
 def test_a_disc_spans_twice_the_arcsine_of_its_radius_over_its_distance() -> None:
     start, width = arc_of(np.array([10.0]), np.array([0.0]), 1.0)
     assert width == pytest.approx(2 * np.arcsin(0.1), abs=0.01)
