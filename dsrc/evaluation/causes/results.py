@@ -24,13 +24,13 @@ from dsrc.faults.fault import Fault
 from dsrc.models.channel import Receiver
 from dsrc.tables.files import Scalar, csv_text
 from dsrc.tables.table import Column, Table, TableRow
-from sensors.corruptions import drive_seed
+from sensors.corruptions import CORRUPTIONS, drive_seed
 from sim.files import write_file
 from sim.radio import IDEAL, Radio
 
 FILE = "causes.csv"
 _POSES = "pose_error"
-"""Corruption of poses alone, which is made anew: it takes no time. Of the others the tables know the points left."""
+"""Corruption of poses alone."""
 _AT_ONCE = Radio.parse(IDEAL).spec().decisive()
 _COLUMNS = (
     *("method", "condition", "drive", "frame", "position", "error", "kind", "object_id", "rank", "score", "iou"),
@@ -70,7 +70,7 @@ def write_causes(
             asked = request, int(table.ego_id[0])
             if asked not in teams:
                 teams[asked] = tuple(frame.agents[one].agent_id for one in participants(frame, asked[1], request))
-            moved = condition.kind == _POSES or any(_moves(fault) for fault in faults_of(condition))
+            changed = condition.kind in CORRUPTIONS or any(_moves(fault) for fault in faults_of(condition))
             team = teams[asked][:alone]
             if (path, number) not in receivers:
                 receivers[path, number] = _receiver(drive, team, entry.case, trained.settings, seed)
@@ -78,7 +78,7 @@ def write_causes(
             links = () if receiver is None else receiver.links(past, position, team[0], team[1:])
             known = Circumstances(
                 "" if condition.kind == "clean" else condition.label,
-                condition.apply(frame, drive_seed(seed, drive.drive.name)) if moved else None,
+                condition.apply(frame, drive_seed(seed, drive.drive.name)) if changed else None,
                 team,
                 request.judged_m,
                 {link.sender: link.age_s if link.received else None for link in links},

@@ -66,6 +66,8 @@ def test_every_error_of_an_evaluation_has_a_cause(done: tuple[Evaluation, list[R
         expected[run.method, label, "missed"], expected[run.method, label, "false"] = found.fn, found.fp
     assert counts == +expected and sum(counts.values()) > 0
     assert {line["kind"] for line in lines} <= {*MISSED, *FALSE} and all(line["sentence"] for line in lines)
+    made = {"made by the corruption", "amid made points"}
+    assert {line["condition"].split()[0] for line in lines if line["kind"] in made} == {"fog"}
     hiding = [(line["hidden_from"].split(), line["hidden_by"].split()) for line in lines]
     assert all(len(agents) == len(by) for agents, by in hiding)
     assert {one for _, by in hiding for one in by if not one.isdecimal()} == {"-"}
