@@ -54,6 +54,7 @@ PROTOCOLS = (
     "kitti-moderate-r40",
     "kitti-hard-r40",
     "testbed",
+    "testbed-per-frame",
 )
 """Names for the help text; `dsrc.evaluation.metrics.protocols` decides, a test compares."""
 

@@ -1,7 +1,7 @@
 """Protocols: what a published average precision counts, one struct each.
 
 Matches, orders and recalls are those of `dsrc.evaluation.metrics.ap`; a protocol says which of them it takes and which
-boxes count. `Curve.ap_opencood` is `opencood` and `Curve.ap` is `testbed`, over boxes already chosen.
+boxes count. `Curve.ap_opencood` is `testbed-per-frame` and `Curve.ap` is `testbed`, over boxes already chosen.
 """
 
 import math
@@ -176,6 +176,12 @@ _TABLE = (
         for level in LEVELS
     ),
     Protocol(name="testbed", spaces=_BOTH, source="`ap` of dsrc evaluate, over the boxes given"),
+    Protocol(
+        name="testbed-per-frame",
+        order="frame",
+        spaces=_BOTH,
+        source="`ap_opencood` of dsrc evaluate, OpenCOOD's order over the boxes given",
+    ),
 )
 PROTOCOLS = {protocol.name: protocol for protocol in _TABLE}
 """Protocols by name."""

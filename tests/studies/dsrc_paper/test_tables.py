@@ -1,5 +1,6 @@
 """Tables of the paper, of hand-made rows: methods are found by what they are, and missing ones are listed."""
 
+import tomllib
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from studies.dsrc_paper.methods import averaged_methods, compared_methods, metho
 from studies.dsrc_paper.report import write_paper
 from studies.dsrc_paper.tables import mean_corrupted, table_2, table_3, table_4
 from tests.dsrc.evaluation.report.test_tables import outcome_of, settings_of, view_of
+from tests.paths import ROOT
 
 
 def test_table_2_goes_from_none_to_all_parts_and_says_which_are_missing() -> None:
@@ -108,3 +110,11 @@ def test_the_papers_tables_take_their_places_in_a_document(tmp_path: Path, monke
     publish(list((ours | papers).values()), out, tmp_path / "page.md", "Small", RESULTS)
     text = (tmp_path / "page.md").read_text()
     assert text.count("begin small/made-up/table_1 -->") == 1 and "**Table 1. Clean and corrupted frames" in text
+
+
+def test_the_row_that_is_measured_again_is_one_of_the_sweeps() -> None:
+    plans = (ROOT / "studies/dsrc_paper" / f"{name}.toml" for name in ("helpers", "sweeps"))
+    row, whole = (tomllib.loads(path.read_text(encoding="utf-8")) for path in plans)
+    assert row["methods"][0] in whole["methods"] and set(row["sweeps"]["agents"]) <= set(whole["sweeps"]["agents"])
+    same = ("corruption", "channel", "frames", "datasets")
+    assert [row[name] for name in same] == [whole[name] for name in same]

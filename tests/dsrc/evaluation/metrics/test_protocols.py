@@ -38,7 +38,7 @@ def test_one_set_of_boxes_has_as_many_averages_as_protocols() -> None:
     assert bev["opencood-global"] - bev["opencood"] > 0.09  # by the order alone
     assert bev["kitti-r40"] != bev["kitti-r11"] != bev["opencood-global"]
     three_d = {one.protocol.name for one in found if ("3d", 0.7) in one.ap}
-    assert three_d == {"dair-vic", "kitti-r11", "kitti-r40", "testbed"}
+    assert three_d == {"dair-vic", "kitti-r11", "kitti-r40", "testbed", "testbed-per-frame"}
 
 
 def test_names_are_those_of_the_help_and_cards_tell_protocols_apart() -> None:

@@ -132,7 +132,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> tuple[Evaluation, dict[t
 
 def test_stored_results_score_what_their_evaluation_says(stored: tuple[Evaluation, dict[tuple[str, str], Row]]) -> None:
     config, rows = stored
-    found = score(config.out, protocol=["testbed", "opencood-no-ego"])
+    found = score(config.out, protocol=["testbed", "testbed-per-frame"])
     assert {one.name for one in found} == {"DSRC", "DSRC, ego alone"}
     for one in found:
         row = rows[one.name, "clean"]
