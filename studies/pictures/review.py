@@ -104,6 +104,13 @@ def show_errors(session: Session, _: BrowserPage) -> None:
     time.sleep(2.0)
 
 
+def show_sweeps(session: Session, _: BrowserPage) -> None:
+    """Wait until the sweeps of an episode can be cast again, and its page has drawn them."""
+    while not any(len(agent.points) for agent in session.wait_drawn(PATIENCE_S).agents):
+        time.sleep(0.5)
+    time.sleep(5.0)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("drive", type=Path, help="drive to show")
@@ -128,7 +135,7 @@ def main() -> None:
         "drive.gif": lambda path: write_animation(smooth_pictures(model, rows), path, 0.1),
     }
     if given.episode is not None:
-        pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path)
+        pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path, show_sweeps)
     if given.shares is not None:
         pictures["shares.png"] = lambda path: picture_of_page(open_model(given.shares), SHARED, path)
     for name in given.only or pictures:

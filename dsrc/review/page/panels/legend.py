@@ -4,8 +4,8 @@ from dsrc.review.page.panels.panel import Panel, set_fields
 from dsrc.review.page.protocol import Shown
 from dsrc.review.texts import frame_report, legend, notice_text
 
-_WIDTH_PX = 290
-"""Half of a window of 700 px."""
+_WIDTH_PX = 315
+"""Of a window of 700 px less than half."""
 
 
 class LegendPanel(Panel):
