@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from numba import njit
+from numba.core import event
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +37,24 @@ def compiled(*parts: ModuleType, **options: Any) -> Callable[[Callable[..., Any]
             return njit(**options)(function)
 
     return decorate
+
+
+class _Compiling(event.Listener):
+    """Says once that loops are compiled, which takes up to minutes in silence."""
+
+    _said = False
+
+    def on_start(self, begun: event.Event) -> None:
+        """Compilation of a loop that no file holds begins."""
+        if not self._said:
+            log.info("compiling loops for this processor, once; a minute or so")
+            self._said = True
+
+    def on_end(self, done: event.Event) -> None:
+        """Compilation of a loop is over."""
+
+
+event.register("numba:compile", _Compiling())
 
 
 @cache

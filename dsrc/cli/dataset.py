@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from tyro.conf import Positional, arg
 
-from dsrc.cli.progress import made, progress
+from dsrc.cli.progress import log_lines, made, progress
 from dsrc.cli.toml_files import require_kind
 from dsrc.options.drives import BuildOptions, Changes, ConvertOptions, CorruptOptions, GenerateOptions
 from dsrc.options.fields import CORRUPTIONS, Data, Folder, Output, Splits, choice
@@ -44,6 +44,7 @@ class Generate(GenerateOptions, frozen=True):
         from sim.errors import SettingsError
 
         require_kind("generate", str(self.scenario), "scenario")
+        log_lines("sensors.compiled", on_terminals=True)
         if self.corruption is not None:
             if self.view:
                 raise SettingsError("generate: --view shows the drive before its --corruption; leave out --view")

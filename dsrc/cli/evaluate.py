@@ -60,8 +60,12 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
     Examples:
         dsrc evaluate data/test --checkpoint detector.pt --out results
         dsrc evaluate data/test --checkpoint DSRC=a.pt late=b.pt --corruption fog snow --channel its-g5-27 --out results
+
+    Attributes:
+        verbose: also say which engine runs the networks, and why.
     """
 
+    verbose: bool = False
     pool: Pool = Pool()
     output: Output = Output()
 
@@ -77,6 +81,8 @@ class Evaluate(Evaluation, frozen=True, kw_only=True):
         from dsrc.evaluation.report.lies import lie_table
         from sim.files import check_apart
 
+        if self.verbose:
+            log_lines("dsrc.models.storage", on_terminals=True)
         check_apart(self.out, self.data)
         with progress(f"evaluate {self.data}") as report:
             rows = evaluate_drives(self, self.pool, report)

@@ -206,10 +206,11 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 
         require_kind("scenario check", self.scenario, "scenario")
         scenario, rows = load_scenario(self.scenario), list[Sequence[object]]()
+        head: tuple[str, ...] = ("scenario", "seed", "can be driven and recorded")
         for seed in self.seed or (scenario.seed,):
             check_scenario(scenario, seed)
             if scenario.conflict is None:
-                rows.append((scenario.name, seed, *[""] * 8))
+                rows.append((scenario.name, seed, "yes"))
                 continue
             found = find_encounter(scenario, seed)
             one = found.proof
@@ -220,8 +221,9 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
             rows.append(
                 (scenario.name, seed, *("never" if s is None else s for s in sees), one.helper, refused, *speeds)
             )
-        times = ("critical s", "ego sees s", "helper sees s", "helper", "refused draws")
-        head = ("scenario", "seed", *times, "comes m/s", "safe m/s", "costs s")
+        if scenario.conflict is not None:
+            times = ("critical s", "ego sees s", "helper sees s", "helper", "refused draws")
+            head = ("scenario", "seed", *times, "comes m/s", "safe m/s", "costs s")
         sys.stdout.write(f"{Table.of(head, rows).text(shutil.get_terminal_size().columns)}\n")
 
 

@@ -4,7 +4,8 @@ Without a route a liar takes the ego to go straight on. Messages are judged at t
 the channel brings late has no witness but those of its own instant.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from dsrc.data.sample import Sample, SampleDetector, first_agents, make_sample
 from dsrc.faults.condition import faults_of
-from dsrc.messages.attacks import Attacks
+from dsrc.faults.kinds import Bias
+from dsrc.messages.attacks import Attacks, Lie
 from dsrc.messages.cpm import Cpm, placed, told_at_once
 from dsrc.messages.defences import Defence
 from dsrc.messages.inbox import Inbox
@@ -38,10 +40,45 @@ def lies(condition: Condition) -> bool:
 
 def fabricated(frame: Frame, condition: Condition, seed: int) -> Frame:
     """Return a frame whose liars share clouds, or features of them, that lie; `seed` is the drive's."""
+    attacks = _attacks(frame, condition, seed)
+    return frame.with_sweeps([attacks.measured(agent, frame.truth, frame.time_s) for agent in frame.agents])
+
+
+def misplaced(frame: Frame, condition: Condition, seed: int) -> Frame:
+    """Return a frame whose liars say to be elsewhere, and lie about nothing else; `seed` is the drive's."""
+    if not any(isinstance(fault.settings, Bias) for fault in faults_of(condition) if fault.attack):
+        return frame
+    told = fabricated(frame, condition, seed)
+    return frame.with_sweeps(
+        [
+            replace(own.sweep, world_from_lidar=said.sweep.world_from_lidar)
+            for own, said in zip(frame.agents, told.agents, strict=True)
+        ]
+    )
+
+
+def lies_in(
+    frame: Frame, condition: Condition, seed: int, helpers: Sequence[int], ages: Mapping[int, float | None]
+) -> dict[int, Lie]:
+    """Return what helpers lie about in a frame, of those who lie under a condition and whose message arrived.
+
+    Args:
+        seed: the drive's.
+        ages: of the helpers' messages, s; None for a lost one. Helpers that are not named were heard at once.
+    """
+    if not lies(condition):
+        return {}
+    attacks = _attacks(frame, condition, seed)
+    since = {one: age for one in helpers if (age := ages.get(one, 0.0)) is not None}
+    told = {one: attacks.lie(one, frame.truth, frame.time_s - age) for one, age in since.items()}
+    return {one: lie for one, lie in told.items() if len(lie.ghosts) or lie.removed or lie.misplaced}
+
+
+def _attacks(frame: Frame, condition: Condition, seed: int) -> Attacks:
     ego_id = ego_of(frame)
     attacks = Attacks(faults_of(condition), seed, ego_id)
     attacks.aim(*_way(frame, ego_id), frame.time_s)
-    return frame.with_sweeps([attacks.measured(agent, frame.truth, frame.time_s) for agent in frame.agents])
+    return attacks
 
 
 def _way(frame: Frame, ego_id: int) -> tuple[Boxes, NDArray[np.float64]]:

@@ -7,7 +7,7 @@ pose is as misplaced as its objects, that of a replay as old.
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,21 @@ _SKIN_M = 0.15
 _MOVED_M = 0.5
 """Distance from every honest object beyond which a told one is false, m."""
 _SLACK_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lie:
+    """What a helper lies about at one instant.
+
+    Attributes:
+        ghosts: boxes that it tells of where nobody is, world frame.
+        removed: ids of the road users that it leaves out, whether it sees them or not.
+        misplaced: whether it says to be elsewhere.
+    """
+
+    ghosts: Boxes
+    removed: tuple[int, ...]
+    misplaced: bool
 
 
 class Attacks:
@@ -115,7 +130,7 @@ class Attacks:
                 lidar_from_world = invert(sweep.world_from_lidar)
                 sweep = _haunted(sweep, [one.transform(lidar_from_world) for one in self._ghost(number)])
             elif isinstance(settings, Remove):
-                gone = truth[(_aside(truth, self._route) <= settings.aside_m) & (truth.object_id != agent.agent_id)]
+                gone = truth[self._removed(settings, truth, agent.agent_id)]
                 rows, _ = points_in_boxes(gone, sweep.points, sweep.world_from_lidar, _SKIN_M)
                 kept = np.ones(len(sweep), bool)
                 kept[rows] = False
@@ -127,6 +142,27 @@ class Attacks:
             else:
                 raise TypeError(fault.kind)
         return sweep
+
+    def lie(self, sender: int, truth: Boxes, time_s: float) -> Lie:
+        """Return what a helper lies about at a time of the episode.
+
+        Args:
+            truth: road users, world frame.
+        """
+        acting = [(k, one) for k, one in enumerate(self._faults) if self._lies(one, sender, time_s)]
+        gone = np.zeros(len(truth), bool)
+        for _, fault in acting:
+            if isinstance(fault.settings, Remove):
+                gone |= self._removed(fault.settings, truth, sender)
+        return Lie(
+            stacked(truth[:0], *(ghost for k, _ in acting for ghost in self._ghost(k))),
+            tuple(truth.object_id[gone].tolist()),
+            any(isinstance(fault.settings, Bias) for _, fault in acting),
+        )
+
+    def _removed(self, settings: Remove, truth: Boxes, sender: int) -> NDArray[np.bool_]:
+        """Return (N,) which road users a helper leaves out."""
+        return (_aside(truth, self._route) <= settings.aside_m) & (truth.object_id != sender)
 
     def _ghost(self, number: int) -> list[Boxes]:
         return [self._ghosts[number]] if number in self._ghosts else []

@@ -44,7 +44,8 @@ class Pdms(msgspec.Struct, frozen=True, kw_only=True):
         progress: 0 to 1 (EP).
         comfortable: 1 within all bounds, else 0 (C; HC of the extended score); 1 for an episode too short to tell.
         lights: 1 without a red light run, else 0 (TLC).
-        lane_keeping: 0 if the ego was 0.5 m beside its route for longer than 2 s, else 1 (LK).
+        lane_keeping: 0 if the ego was more than 0.5 m beside its route for 2 s, else 1; steps within junctions neither
+            count nor end a time beside (LK).
     """
 
     no_collision: float
@@ -92,21 +93,28 @@ def pdms(log: EpisodeLog, reference: EpisodeLog | None = None) -> Pdms:
         progress=1.0 if made.reference_m <= LEAST_REFERENCE_M else made.completion,
         comfortable=1.0 if math.isnan(smooth) else smooth,
         lights=float(red_lights_run(log) == 0),
-        lane_keeping=float(_longest_aside_s(log, len(motion)) <= ASIDE_S),
+        lane_keeping=float(_longest_aside(log, len(motion)) < math.ceil(ASIDE_S / log.actors.step_s - 1e-9)),
     )
 
 
-def _longest_aside_s(log: EpisodeLog, steps: int) -> float:
-    """Return the longest time that the ego was beside the line of its route, s."""
+def _longest_aside(log: EpisodeLog, steps: int) -> int:
+    """Return the largest number of steps in a row that the ego was beside the line of its route.
+
+    Those within junctions, where SUMO's lanes have names with a colon, are left out, as NAVSIM does: `pdm_scorer.py` of
+    its devkit, version 2, skips intersections without setting its count back.
+    """
     longest = since = 0
-    for ego in (tick.ego for tick in log.ticks[:steps]):
+    for tick in log.ticks[:steps]:
+        ego, actors = tick.ego, tick.actors
+        if actors.lane[actors.row(log.settings.ego_id)].startswith(":"):
+            continue
         aside = 0.0
         if len(ego.route) > 2:  # it leads from the ego's centre to its lane
             way, here = ego.route[2] - ego.route[1], ego.box.center[0, :2] - ego.route[1]
             aside = abs(float(way[0] * here[1] - way[1] * here[0])) / max(float(np.hypot(*way)), 1e-6)
         since = since + 1 if aside > ASIDE_M else 0
         longest = max(longest, since)
-    return longest * log.actors.step_s
+    return longest
 
 
 def _projections_are_free(motion: Motion, step_s: float) -> bool:

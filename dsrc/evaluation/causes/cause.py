@@ -17,6 +17,7 @@ from dsrc.data.sample import Range
 from dsrc.evaluation.causes.sight import hidden_by
 from dsrc.evaluation.detection_table import DetectionTable, points_left
 from dsrc.evaluation.metrics.ap import overlapping_pairs
+from dsrc.messages.attacks import Lie
 from sensors.frame import Frame
 from sensors.sweep import SCATTERED
 from sim.boxes import CLASSES, Boxes
@@ -32,6 +33,7 @@ MissedKind = Literal[
     "badly placed",
     "hidden",
     "message missing",
+    "left out",
     "few points",
     "amid made points",
     "no box",
@@ -39,6 +41,7 @@ MissedKind = Literal[
 """Causes of a missed object, in the order in which they are looked for."""
 FalseKind = Literal[
     "own body",
+    "told wrongly",
     "doubled box",
     "wrong heading",
     "pose error",
@@ -83,7 +86,7 @@ class ErrorCause(msgspec.Struct, frozen=True, kw_only=True):
         points_left: after the corruption.
         hidden_from: agents that take part and have no point on it in the clean frame.
         hidden_by: object ids of what hides it from each of these; None for what is no road user.
-        helper: the agent whose pose or message is the cause; None without one.
+        helper: the agent whose pose, message or lie is the cause; None without one.
     """
 
     error: Literal["missed", "false"]
@@ -110,6 +113,7 @@ class Circumstances:
         team: agents that take part, the ego first; None for all of the frame.
         range_m: range in which the detector looks, in the ego LiDAR's frame, m; None for any.
         ages: age of the message of each helper, s; None for a lost one. Helpers that are not named were heard at once.
+        lies: what helpers lie about whose message arrived.
     """
 
     condition: str = ""
@@ -117,6 +121,7 @@ class Circumstances:
     team: tuple[int, ...] | None = None
     range_m: Range | None = None
     ages: Mapping[int, float | None] = field(default_factory=dict)
+    lies: Mapping[int, Lie] = field(default_factory=dict)
 
 
 NOTHING_ELSE = Circumstances()
@@ -247,6 +252,9 @@ class _Judged:
                 None,
                 lost[0],
             )
+        if (liar := self._left_out_by(row)) is not None:
+            seen = int(self.clean[self.team.index(liar), row])
+            return "left out", f"left out by {self._who(liar)}, who has {seen} points on it", None, liar
         if self.left[row] <= FEW:
             return "few points", self._points(row), None, None
         if main is not None:
@@ -288,6 +296,9 @@ class _Judged:
         if around or (body in over and self.all.object_id[body] == self.ego):
             return "own body", f"it lies on the ego itself, {away:.1f} m from its LiDAR", None, self.ego, None
         near = self.pairs.truth[(self.pairs.detection == box) & (self.pairs.iou >= _NEAR)]
+        if liars := self._invented_by(box, max(over.values(), default=0.0)):
+            whom = " and ".join(map(self._who, liars))
+            return "told wrongly", f"told wrongly by {whom}, {away:.0f} m away", None, None, liars[0]
         if len(near):
             return self._of(box, int(self.objects[near[0]]))
         if over:
@@ -304,6 +315,23 @@ class _Judged:
         if 2 * points.max(initial=0) >= max(inside, 1):
             return self._of(box, int(np.searchsorted(self.all.object_id, users[points.argmax()])))
         return "of nothing", f"no road user is there; {inside} points are over it, {away:.0f} m away", None, None, None
+
+    def _left_out_by(self, row: int) -> int | None:
+        """Helper that left an object out of what it told, and sees the most of it; None where others see enough."""
+        gone = [one for one, lie in self.known.lies.items() if int(self.truth.object_id[row]) in lie.removed]
+        liars = [k for k in range(len(self.rows)) if self.team[k] in gone and self.clean[k, row]]
+        honest = sum(int(self.clean[k, row]) for k in range(len(self.rows)) if k not in liars)
+        return self.team[max(liars, key=lambda k: int(self.clean[k, row]))] if liars and honest <= FEW else None
+
+    def _invented_by(self, box: int, iou: float) -> list[int]:
+        """Helpers whose ghost a box is, which overlaps every road user by at most `iou`."""
+        own = self.boxes.array[box : box + 1]
+        least, back = max(iou, _NEAR), invert(self.lidar)
+        return [
+            one
+            for one, lie in self.known.lies.items()
+            if overlapping_pairs([own], [lie.ghosts.transform(back).array]).iou.max(initial=0.0) >= least
+        ]
 
     def _of(self, box: int, place: int) -> tuple[FalseKind, str, int | None, int | None, int | None]:
         """Cause of a false box that is of a road user of the frame, as `_why_false`."""
@@ -370,6 +398,8 @@ class _Judged:
 
     def _names(self, kind: MissedKind, helper: int) -> str:
         if kind == "pose error":
+            if (lie := self.known.lies.get(helper)) is not None and lie.misplaced:
+                return f"the false pose of {self._who(helper)}"
             return f"the pose error of {self._who(helper)}"
         return f"the message of {self._who(helper)}, {1e3 * (self.known.ages.get(helper) or 0.0):.0f} ms old,"
 

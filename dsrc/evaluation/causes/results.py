@@ -17,10 +17,12 @@ from dsrc.evaluation.cells import drive_of
 from dsrc.evaluation.config import Case
 from dsrc.evaluation.detect import FrameHistory, MethodResult, receiver_of
 from dsrc.evaluation.detection_table import DetectionTable
+from dsrc.evaluation.listener import lies_in, misplaced
 from dsrc.evaluation.runner import CaseResult, TrainedDetector
 from dsrc.evaluation.stress import IOU, SURE
 from dsrc.faults.condition import faults_of
 from dsrc.faults.fault import Fault
+from dsrc.faults.kinds import Bias
 from dsrc.models.channel import Receiver
 from dsrc.tables.files import Scalar, csv_text
 from dsrc.tables.table import Column, Table, TableRow
@@ -76,12 +78,15 @@ def write_causes(
                 receivers[path, number] = _receiver(drive, team, entry.case, trained.settings, seed)
             receiver = receivers[path, number]
             links = () if receiver is None else receiver.links(past, position, team[0], team[1:])
+            own_seed = drive_seed(seed, drive.drive.name)
+            ages = {link.sender: link.age_s if link.received else None for link in links}
             known = Circumstances(
                 "" if condition.kind == "clean" else condition.label,
-                condition.apply(frame, drive_seed(seed, drive.drive.name)) if changed else None,
+                misplaced(condition.apply(frame, own_seed), condition, own_seed) if changed else None,
                 team,
                 request.judged_m,
-                {link.sender: link.age_s if link.received else None for link in links},
+                ages,
+                lies_in(frame, condition, own_seed, team[1:], ages),
             )
             for cause in frame_causes(table, frame, SURE, IOU, known):
                 made: dict[str, Any] = msgspec.structs.asdict(cause)
@@ -109,7 +114,7 @@ def _text(number: int | None) -> str:
 
 
 def _moves(fault: Fault) -> bool:
-    return fault.kind == _POSES or fault.what.place == "localisation"
+    return fault.kind == _POSES or fault.what.place == "localisation" or isinstance(fault.settings, Bias)
 
 
 def cause_tables(out: Path) -> list[Table]:

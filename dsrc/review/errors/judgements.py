@@ -7,14 +7,16 @@ from dsrc.data.drives import Drive
 from dsrc.data.sample import SampleDetector
 from dsrc.evaluation.causes.cause import Circumstances, ErrorCause, frame_causes
 from dsrc.evaluation.detection_table import DetectionTable
+from dsrc.evaluation.listener import lies_in, misplaced
+from dsrc.messages.attacks import Lie
 from dsrc.review.errors.filters import ErrorFilter
 from dsrc.review.errors.index import ErrorIndex, changes
 from dsrc.review.errors.judged import Counts, JudgedRun
 from dsrc.review.frames import LatestUsed, Recordings
-from dsrc.review.sources.base import MemorySet, Setup, Source
+from dsrc.review.sources.base import DriveSource, MemorySet, Setup, Source
 from dsrc.review.sources.detected import ComputedSet
 from dsrc.review.state import ReviewState
-from sensors.corruptions import CLEAN
+from sensors.corruptions import CLEAN, drive_seed
 from sensors.frame import Frame
 from sim.errors import SettingsError, complaint, did_you_mean
 
@@ -77,10 +79,18 @@ class Judgements(Recordings):
             return []
         run = getattr(own, "runs", {}).get(setup.condition)
         alone = not setup.cooperative if not own.recorded else run is not None and run.agents == 1
+        source, ego_id, corrupted = self.sources[state.drive], int(table.ego_id[0]), self.frame(state)
+        told: dict[int, Lie] = {}
+        if isinstance(source, DriveSource) and not alone:
+            # In an episode a liar knows the ego's route, and its ghost waits: no frame tells where.
+            seed, others = drive_seed(source.seed, source.name), [one.agent_id for one in clean.agents]
+            told = lies_in(clean, setup.condition, seed, [one for one in others if one != ego_id], {})
+            corrupted = misplaced(corrupted, setup.condition, seed)
         known = Circumstances(
             condition=setup.condition.label if setup.condition.kind != CLEAN else "",
-            corrupted=self.frame(state),
-            team=(int(table.ego_id[0]),) if alone else None,
+            corrupted=corrupted,
+            team=(ego_id,) if alone else None,
+            lies=told,
         )
         return frame_causes(table, clean, state.threshold, state.iou, known)
 

@@ -13,12 +13,12 @@ from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.data.sample import Sample
 from dsrc.evaluation.config import read_benchmark, single_defence
 from dsrc.evaluation.detect import Method, MethodResult, evaluate_drive
-from dsrc.evaluation.listener import fabricated
+from dsrc.evaluation.listener import fabricated, lies_in
 from dsrc.faults.condition import frame_condition
 from dsrc.models.settings import ModelSettings
 from dsrc.ops.detections import Detections
 from dsrc.ops.grid import GridSpec
-from sensors.corruptions import Condition
+from sensors.corruptions import Condition, drive_seed
 from sim.boxes import concatenate
 from sim.errors import SettingsError
 from sim.radio import PRESETS
@@ -78,6 +78,23 @@ def test_who_tells_of_nobody_leaves_the_ego_alone(drive: Path) -> None:
 def test_rates_are_of_messages(drive: Path) -> None:
     rows = [heard(drive, f"ghost:{share},ahead_m=9").told[:, 0].sum() for share in (0.0, 0.5, 1.0)]
     assert rows[0] == 0 and 0 < rows[1] < rows[2] == 6
+
+
+def test_it_is_known_of_each_frame_who_lied_and_where(drive: Path) -> None:
+    text, reader = "ghost:0.5,ahead_m=9", open_drive(drive)
+    told, condition, seed = heard(drive, text).told[:, 0], frame_condition(text, "test"), drive_seed(0, "made_up")
+    assert set(told) != {0.0} and told.sum() < 6
+    for number, count in enumerate(told):
+        now = reader.read(number)
+        ego, *helpers = (agent.agent_id for agent in now.agents)
+        lied = lies_in(now, condition, seed, helpers, {})
+        assert len(lied) == count and lies_in(now, condition, seed, helpers, dict.fromkeys(helpers)) == {}
+        own = now.truth.center[now.truth.object_id == ego][0, :2]
+        assert all(
+            np.linalg.norm(lie.ghosts.center[0, :2] - own) == pytest.approx(9.0, abs=0.02) for lie in lied.values()
+        )
+    gone = lies_in(now, frame_condition("remove on -1", "test"), seed, helpers, {})
+    assert list(gone) == [-1] and set(gone[-1].removed) <= set(now.truth.object_id.tolist())
 
 
 def test_messages_tell_the_same_as_boxes_to_the_centimetre_and_less_with_mitigation(drive: Path) -> None:

@@ -130,7 +130,7 @@ def test_the_extended_score_weighs_its_terms_as_navsim_does() -> None:
 
 
 @pytest.mark.parametrize(("aside_m", "kept"), [(0.4, 1.0), (0.6, 0.0)])
-@pytest.mark.parametrize(("steps", "long"), [(20, False), (25, True)])
+@pytest.mark.parametrize(("steps", "long"), [(19, False), (20, True)])
 def test_who_drives_beside_the_route_for_two_seconds_does_not_keep_the_lane(
     aside_m: float, kept: float, steps: int, long: bool
 ) -> None:
@@ -142,6 +142,19 @@ def test_who_drives_beside_the_route_for_two_seconds_does_not_keep_the_lane(
         ticks.append(replace(tick, ego=replace(tick.ego, route=route)))
     log = EpisodeLog(plain.settings, plain.actors[0], ticks, plain.outcome)
     assert pdms(log).lane_keeping == (kept if long else 1.0)
+
+
+@pytest.mark.parametrize(("outside", "kept"), [(19, 1.0), (20, 0.0)])
+def test_in_junctions_nobody_leaves_the_lane_nor_comes_back_to_it(outside: int, kept: float) -> None:
+    plain = episode([Mover("ego", ahead(10.0))], 40 + outside)
+    ticks = []
+    for k, tick in enumerate(plain.ticks):
+        x, y = tick.ego.box.center[0, :2]
+        route = np.array([[x, y], [x + 2.0, y + 0.8], [x + 30.0, y + 0.8]])
+        lane = (":middle_0" if 10 <= k < 50 else "a",)
+        ticks.append(replace(tick, ego=replace(tick.ego, route=route), actors=replace(tick.actors, lane=lane)))
+    log = EpisodeLog(plain.settings, plain.actors[0], ticks, plain.outcome)
+    assert pdms(log).lane_keeping == kept, "ten steps before the junction, the others after it"
 
 
 def test_pdms_of_episodes() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from dsrc.evaluation.causes.cause import FALSE, MISSED, Circumstances, ErrorCause, frame_causes
 from dsrc.evaluation.detection_table import DetectionTable, one_frame
+from dsrc.messages.attacks import Lie
 from dsrc.ops.detections import Detections
 from sensors.frame import AgentFrame, Frame
 from sensors.sweep import KEPT, SCATTERED, make_sweep
@@ -241,6 +242,29 @@ def test_false_boxes_of_snow_and_of_nothing() -> None:
     made = [one for one in causes(of, [*right, ghost], Circumstances("snow 5", snowed)) if one.error == "false"]
     assert [one.kind for one in made] == ["made by the corruption"]
     assert made[0].sentence == "score 0.50: 4 of the 6 points over it were made by snow 5"
+
+
+def test_a_ghost_is_told_wrongly_by_the_helper_who_lies_and_by_nobody_who_does_not() -> None:
+    of, right = frame(OFTEN), [TRUCK_BOX, HIDDEN_BOX, OPEN_BOX]
+    ghost = ([-15.0, 5.0, 0.8, 4.0, 1.8, 1.6, 0.0], 0.5)
+    there = Boxes.from_array([[-15.2, 5.1, 0.8, 4.5, 1.9, 1.5, 0.0]]).transform(pose_matrix(SHIFT))
+    lie = Lie(there, (), False)
+    found = the_one(of, [*right, ghost], Circumstances(lies={HELPER: lie}))
+    assert (found.kind, found.helper) == ("told wrongly", HELPER)
+    assert found.sentence == f"score 0.50: told wrongly by helper {HELPER}, 16 m away"
+    elsewhere = replace(lie, ghosts=there.transform(pose_matrix([0.0, 6.0, 0.0])))
+    assert the_one(of, [*right, ghost], Circumstances(lies={HELPER: elsewhere})).kind == "of nothing"
+    doubled = the_one(of, [*right, beside(OPEN_BOX, 0.4, score=0.6)], Circumstances(lies={HELPER: lie}))
+    assert doubled.kind == "doubled box", "what a liar tells elsewhere made no box here"
+
+
+def test_an_object_that_a_liar_left_out_is_missed_for_that_unless_others_see_enough_of_it() -> None:
+    of, nobody = frame(OFTEN), boxes()[:0]
+    lied = Circumstances(lies={HELPER: Lie(nobody, (HIDDEN, OPEN), False)})
+    missed = {one.object_id: one for one in causes(of, [TRUCK_BOX], lied)}
+    assert (missed[HIDDEN].kind, missed[HIDDEN].helper) == ("left out", HELPER)
+    assert missed[HIDDEN].sentence.startswith(f"left out by helper {HELPER}, who has 61 points on it")
+    assert missed[OPEN].kind == "no box", "the ego has 70 points on it"
 
 
 def test_flakes_all_over_a_box_made_it_though_a_pole_in_it_has_more_points() -> None:
