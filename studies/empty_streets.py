@@ -1,17 +1,20 @@
-"""Figures of sweeps on the empty streets of worlds of version 2, at twelve places of each area: medians.
+"""Figures of sweeps on the empty streets of worlds of version 2, at twelve places of each area, or of drives: medians.
 
 Usage:
     python -m studies.empty_streets
     python -m studies.empty_streets helsinki --lidars vlp-32c-av2 --world 1
+    python -m studies.empty_streets --drives dsrc-sim-2/train/braunschweig_511_hdl-64e-kitti
 """
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 import shapely
 
 from dsrc.data.changes import in_world
-from dsrc.realism.figures import figures_of
+from dsrc.data.drives import open_drive
+from dsrc.realism.figures import figures_of, sweeps_of
 from dsrc.tables.table import Table
 from sensors.presets import get_lidar
 from sensors.scan.lidar import scan
@@ -20,7 +23,7 @@ from sensors.spec import LidarSpec
 from sensors.sweep import Sweep
 from sim.boxes import Boxes
 from sim.catalog.load import load_scenario
-from sim.errors import ScenarioError
+from sim.errors import DataError, ScenarioError
 from sim.geometry import pose_matrix
 from sim.scenario import Scenario
 from sim.world.build import build_world
@@ -35,8 +38,9 @@ FIGURES = {
     "scattered": "leaf-like share of it, 5 to 30 m",
     "residual": "residual of the ground, m",
     "slope": "slope of it",
+    "intensity_ground": "intensity of the ground",
 }
-PLACES = 12
+PLACES, SWEEPS = 12, 8
 _FROM_END_M = 5.0
 
 
@@ -49,7 +53,16 @@ def main() -> None:
     parser.add_argument("--lidars", nargs="+", default=LIDARS, help="presets; default: three of data sets")
     parser.add_argument("--world", type=int, choices=(1, 2), default=2, help="version of the world")
     parser.add_argument("--seed", type=int, default=1, help="of the world and the places")
+    parser.add_argument("--drives", nargs="+", type=Path, help="drives, whose first sweeps are measured, no areas")
     options = parser.parse_args()
+    if options.drives:
+        try:
+            driven = [medians_of(sweeps_in(folder)) for folder in options.drives]
+        except DataError as error:
+            parser.error(str(error))
+        rows = [[title, *(f"{one[name]:.3f}" for one in driven)] for name, title in FIGURES.items()]
+        print(Table.of(["", *(folder.name for folder in options.drives)], rows, 1).markdown())
+        return
     try:
         specs = [get_lidar(name) for name in options.lidars]
         found = [medians(in_world(load_scenario(name), options.world), specs, options.seed) for name in options.areas]
@@ -64,11 +77,23 @@ def medians(scenario: Scenario, specs: list[LidarSpec], seed: int) -> list[dict[
     """Return the medians of each sensor's figures at the places of an area."""
     streets, scene = streets_of(scenario, seed), RayScene(build_world(scenario, seed))
     where = places(streets, seed)
-    found = []
-    for spec in specs:
-        samples = [figures_of(sweep_at(scene, streets, spec, place, seed), Boxes.zeros()) for place in where]
-        found.append({name: float(np.median([np.median(one[name]) for one in samples])) for name in FIGURES})
-    return found
+    return [
+        medians_of([(sweep_at(scene, streets, spec, place, seed), Boxes.zeros()) for place in where]) for spec in specs
+    ]
+
+
+def sweeps_in(folder: Path) -> list[tuple[Sweep, Boxes]]:
+    """Return the sweeps of the first vehicle in the first frames of a drive, and the boxes around it."""
+    drive = open_drive(folder)
+    return [sweeps_of(drive.read(frame))[0] for frame in range(min(SWEEPS, len(drive)))]
+
+
+def medians_of(sweeps: list[tuple[Sweep, Boxes]]) -> dict[str, float]:
+    """Return the medians of the figures of sweeps with the boxes of their road users."""
+    samples = [figures_of(*one) for one in sweeps]
+    return {
+        name: float(np.median([np.median(one[name]) for one in samples if len(one.get(name, ()))])) for name in FIGURES
+    }
 
 
 def places(streets: Streets, seed: int) -> list[tuple[float, float, float]]:
