@@ -126,7 +126,7 @@ def main() -> None:
     foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
     fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
     pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"
-    riding = "/?fixedDpr=1&camera=chase&frame=35"
+    riding = "/?fixedDpr=1&camera=chase&frame=42"
     pictures: dict[str, Callable[[Path], object]] = {
         "errors.png": lambda path: picture_of_page(model, "/?fixedDpr=1&frame=3", path, show_errors),
         "cells.png": lambda path: picture_of_page(model, compare_address(VIEW, foggy), path, cells=2),
