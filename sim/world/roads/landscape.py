@@ -1,6 +1,7 @@
 """Landscape: uneven land around streets, with crowned carriageways, embankments, ditches and rough ground beside them.
 
-A street is level across, apart from its crown: its height is that of the relief along its axis. Kerbs raise its
+A street is level across, apart from its crown: its height is that of the relief along its axis. At junctions streets go
+over into each other, and crowns run out where vehicles turn, so that rigid bodies stand on them. Kerbs raise its
 footways and the land behind them; right behind these rise or fall banks to the plots, and the land goes over into the
 relief, as an embankment or a cutting. A network with heights of its own keeps them.
 
@@ -17,7 +18,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from sim.geometry import Array
+from sim.geometry import Array, wrap_angle
 from sim.streams import Stream, random_generator
 from sim.world.roads.kerbs import KERB_M, RAMP_STEP_M, Kerbs
 from sim.world.roads.markings import offset
@@ -43,8 +44,14 @@ _VERGE_CELL_M, _APRON_CELL_M, _FAR_CELL_M = 1.3, 6.0, 25.0
 _MOST_NODES = 50_000
 """Most nodes on paved ground, and on the verge."""
 
-_ALONG_M, _NEAREST, _BLEND_M = 2.5, 32, 5.0
-_APART_M = 0.9
+_ALONG_M, _NEAREST, _BLEND_M = 2.5, 64, 15.0
+"""Distance of points along axes, m; points that blend at a place, and over which distance, m: shorter, and neighbouring
+streets of a junction meet in curves below the radius of a crest."""
+_RUNS_OUT_M, _TURN_RAD = 16.0, np.radians(20.0)
+"""Distance from turning lanes in which a crown rises, m, and the least turn of these."""
+_APART_M, _AXES_APART_M, _EDGE_M = 0.9, 6.0, 2.0
+"""Distances of nodes, of points that blend, and of nodes along carriageways, m: so dense that no triangle reaches from
+a bank or a footway into the carriageway."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +77,7 @@ def uneven_land(streets: Streets, paved: shapely.Geometry, kerbs: Kerbs, seed: i
     road, edge = _Region(streets.road), _Region(covered)
     beside_m = edge.outside(xy)
     level = _relief(streets, axes, xy, beside_m, seed)
-    level += CROSS_FALL * np.minimum(road.inside(xy), _CROWN_M)
+    level += CROSS_FALL * np.minimum(road.inside(xy), _CROWN_M) * _smooth(_turning(streets).outside(xy) / _RUNS_OUT_M)
     fast = axes.speed[cKDTree(axes.xy).query(xy)[1]] > TOWN_SPEED_MPS
     into = (beside_m - _DITCH_BEGINS_M) / _DITCH_WIDTH_M
     # Beside roads that are too fast for kerbs banks begin behind the ditch.
@@ -101,11 +108,24 @@ def _relief(streets: Streets, axes: _Axes, xy: Array, beside_m: Array, seed: int
         return streets.terrain.height(xy)
     relief = draw_relief(seed, MOTORWAY if np.median(axes.speed) > TOWN_SPEED_MPS else TOWN)
     natural = relief.height(xy)
-    distance, near = cKDTree(axes.xy).query(xy, k=min(_NEAREST, len(axes.xy)))
+    points = _apart(axes.xy, _AXES_APART_M)
+    distance, near = cKDTree(points).query(xy, k=min(_NEAREST, len(points)))
     distance, near = distance.reshape(len(xy), -1), near.reshape(len(xy), -1)
     weight = np.exp((distance[:, :1] ** 2 - distance**2) / (2.0 * _BLEND_M**2))
-    street = (weight * relief.height(axes.xy)[near]).sum(axis=1) / weight.sum(axis=1)
+    street = (weight * relief.height(points)[near]).sum(axis=1) / weight.sum(axis=1)
     return streets.terrain.nodes[0, 2] + street + _smooth(beside_m / _VERGE_M) * (natural - street)
+
+
+def _turning(streets: Streets) -> "_Region":
+    """Return the ground of lanes on which vehicles turn at junctions."""
+    lanes = [lane for lane in streets.lanes if lane.kind == "road" and lane.internal]
+    turns = [lane for lane in lanes if abs(wrap_angle(_heading(lane.line[-2:]) - _heading(lane.line[:2]))) > _TURN_RAD]
+    ways = [shapely.LineString(lane.line).buffer(0.5 * lane.width, cap_style="flat") for lane in turns]
+    return _Region(shapely.union_all(ways))
+
+
+def _heading(ends: Array) -> float:
+    return float(np.arctan2(*(ends[1] - ends[0])[::-1]))
 
 
 def _axes(streets: Streets) -> _Axes:
@@ -140,7 +160,8 @@ def _nodes(streets: Streets, covered: shapely.Geometry, axes: _Axes, kerbs: Kerb
     verge = (covered.buffer(_VERGE_M, quad_segs=2) & frame) - covered
     apron = (covered.buffer(_APRON_M, quad_segs=2) & frame) - covered - verge
     crown = streets.road.buffer(-_CROWN_M, join_style="mitre")
-    edges = np.concatenate([_spaced(shape.boundary, CELL_M) for shape in (covered, streets.road, crown)])
+    rings = ((streets.road, _EDGE_M), (covered, CELL_M), (crown, CELL_M))
+    edges = np.concatenate([_spaced(shape.boundary, step_m) for shape, step_m in rings])
     ramps = kerbs.ramps & covered
     along = _spaced(streets.road.boundary & ramps, RAMP_STEP_M)
     kept = [rim(low, high), along, edges, axes.xy[:: round(CELL_M / _ALONG_M)]]
@@ -152,7 +173,7 @@ def _nodes(streets: Streets, covered: shapely.Geometry, axes: _Axes, kerbs: Kerb
     kept.append(far[~shapely.contains_xy(near, *far.T)])
     xy = np.concatenate(kept)
     inside = ((xy >= low) & (xy <= high)).all(axis=1)
-    return np.unique(_apart(xy[inside]), axis=0)
+    return np.unique(_apart(xy[inside], _APART_M), axis=0)
 
 
 def _inside(shape: shapely.Geometry, low: Array, high: Array, cell_m: float) -> Array:
@@ -164,9 +185,9 @@ def _inside(shape: shapely.Geometry, low: Array, high: Array, cell_m: float) -> 
     return places[shapely.contains_xy(shape, *places.T)]
 
 
-def _apart(xy: Array) -> Array:
+def _apart(xy: Array, least_m: float) -> Array:
     """Return points of which none lies close to an earlier one."""
-    near = cKDTree(xy).query_pairs(_APART_M, output_type="ndarray")
+    near = cKDTree(xy).query_pairs(least_m, output_type="ndarray")
     dropped = np.zeros(len(xy), bool)
     for first, second in near[np.lexsort((near[:, 1], near[:, 0]))]:
         if not dropped[first]:

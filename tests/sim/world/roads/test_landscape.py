@@ -12,12 +12,14 @@ from sim.scenario import Scenario
 from sim.world.build import build_world
 from sim.world.buildings.houses import guard_rails
 from sim.world.ground import streets_of
-from sim.world.roads.kerbs import DROPPED_M, KERB_M
+from sim.world.roads.kerbs import DROPPED_M, KERB_M, prolonged
 from sim.world.roads.landscape import CROSS_FALL, DITCH_M, ROUGH_M
 from sim.world.roads.markings import offset
 from sim.world.roads.relief import MOTORWAY, TOWN
 from sim.world.roads.streets import Lane, Streets
 from sim.world.roads.surfaces import GROUND_BELOW_M, pavement
+from sim.world.standing import stand
+from tests.sensors.fakes import cars
 from tests.sim.world.test_world_build import look, names
 
 
@@ -58,6 +60,39 @@ def test_along_its_lanes_a_street_is_no_steeper_than_its_land(town: Streets) -> 
         steep.append(np.abs(rise))
     # Triangles of 4 m let the crown show where a lane runs along its edge.
     assert 0.01 < np.quantile(np.concatenate(steep), 0.9) and np.concatenate(steep).max() < TOWN.steepest[1] + 0.02
+
+
+@pytest.mark.parametrize("size", [(16.5, 2.5, 3.8), (4.6, 1.8, 1.5)])
+def test_bodies_stand_within_5_cm_of_the_carriageway_anywhere_along_its_lanes(
+    town: Streets, size: tuple[float, float, float]
+) -> None:
+    """Of the longest body a radius of 250 m, that of crests, takes 4.6 cm: of 9.9 m between its wheels."""
+    ends = []
+    for lane in town.lanes:
+        if lane.kind == "road":
+            way = prolonged(lane.line, 12.0)
+            back = np.arange(0.0, way.length - size[0], 2.0)
+            places_m = np.stack([back, back + size[0]], axis=1)
+            ends.append(shapely.get_coordinates(shapely.line_interpolate_point(way, places_m)).reshape(-1, 2, 2))
+    rear, front = np.concatenate(ends).transpose(1, 0, 2)
+    rows = np.column_stack([0.5 * (rear + front), np.arctan2(*(front - rear).T[::-1])])
+    outline = shapely.linestrings(np.stack([rear, front], axis=1)).astype(object)
+    rows = rows[shapely.contains_properly(town.road, shapely.buffer(outline, 0.5 * size[1], cap_style="flat"))]
+    boxes = stand(cars(rows, size=size), town.height).boxes
+    off = boxes.center[:, 2] - 0.5 * size[2] - town.height(boxes.center[:, :2])
+    assert len(rows) > 1000 and np.abs(off).max() <= 0.05
+
+
+def test_no_triangle_of_the_carriageway_reaches_a_bank(town: Streets) -> None:
+    """Along its lanes the height of a street bends by no more than its crown does at an edge."""
+    bends = []
+    for lane in arms(town):
+        line = shapely.LineString(lane.line)
+        xy = within(
+            town, shapely.get_coordinates(shapely.line_interpolate_point(line, np.arange(5, line.length - 5, 1)))
+        )
+        bends.append(np.abs(np.diff(town.height(xy), 2)))
+    assert np.concatenate(bends).max() < CROSS_FALL
 
 
 def test_across_a_street_falls_from_its_middle_to_its_edges(town: Streets) -> None:
