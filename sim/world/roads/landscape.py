@@ -40,7 +40,7 @@ _BANK_M, _FOOTWAY_M = 2.5, 4.0
 """Width of banks right behind the paved ground, and of footways at most, m."""
 _VERGE_M, _APRON_M = 14.0, 45.0
 """Distances from the paved ground to which the land goes over into the relief, and is meshed finely, m."""
-_VERGE_CELL_M, _APRON_CELL_M, _FAR_CELL_M = 1.3, 6.0, 25.0
+_VERGE_CELL_M, _APRON_CELL_M, _FAR_CELL_M = 1.3, 6.5, 25.0
 _MOST_NODES = 50_000
 """Most nodes on paved ground, and on the verge."""
 
@@ -49,7 +49,7 @@ _ALONG_M, _NEAREST, _BLEND_M = 2.5, 64, 15.0
 streets of a junction meet in curves below the radius of a crest."""
 _RUNS_OUT_M, _TURN_RAD = 16.0, np.radians(20.0)
 """Distance from turning lanes in which a crown rises, m, and the least turn of these."""
-_APART_M, _AXES_APART_M, _EDGE_M = 0.9, 6.0, 2.0
+_APART_M, _AXES_APART_M, _EDGE_M = 0.9, 6.0, 2.2
 """Distances of nodes, of points that blend, and of nodes along carriageways, m: so dense that no triangle reaches from
 a bank or a footway into the carriageway."""
 
