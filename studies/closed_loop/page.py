@@ -8,12 +8,16 @@ Usage:
 """
 
 import argparse
+import os
 from pathlib import Path
+
+import msgspec
 
 from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult, read_results
 from dsrc.closed_loop.report.report import publish_report, sections, write_report
 from dsrc.tables.document import replace_block, slug
+from sim.catalog.load import scenarios_in
 from sim.errors import SettingsError
 from sim.settings import read_toml
 
@@ -24,9 +28,14 @@ SUMMARIES = tuple(PAGE.parents[2] / f"docs/{name}.md" for name in ("closed_loop_
 def committed(plan: Path) -> tuple[Path, CampaignResult]:
     """Return the folder of a plan's committed results, and the campaign with those that are there.
 
-    The plan's detectors are not opened: those that do not ship are taken from the history only to drive with them.
+    Folders of scenarios stand for those in them. The plan's detectors are not opened: those that do not ship are taken
+    from the history only to drive with them.
     """
     campaign = read_toml(plan, Campaign, SettingsError)
+    beside = Path(os.path.relpath(plan.parent))  # results name scenarios from the root of the project
+    folders = {name: scenarios_in(str(beside / name)) for name in campaign.scenarios if (beside / name).is_dir()}
+    scenarios = tuple(one for name in campaign.scenarios for one in folders.get(name, [name]))
+    campaign = msgspec.structs.replace(campaign, scenarios=scenarios)
     folder = PAGE.with_suffix("") / slug(campaign.name)
     files = [folder / f"{what}.csv" for what in ("results", "controls", "careful")]
     parts = [tuple(read_results([file], whole=False).values()) if file.is_file() else () for file in files]

@@ -37,6 +37,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         "attacks",
         "what-cooperation-gives",
         "what-cooperation-gives-with-detectors",
+        "what-cooperation-gives-in-mined-encounters",
     }
     assert {name.partition("/")[0] for name, _ in places} == published
     quoted = [[one for one in shown if one[0].partition("/")[0] in published] for shown in quoted]
