@@ -56,7 +56,9 @@ def frame_report(view: FrameView) -> str:
     table = "\n".join(
         f"| {name} | {c.tp} | {c.fp} | {c.fn} | {_share(c.precision)} | {_share(c.recall)} |" for name, c in rows
     )
-    columns = "| | true | false | missed | prec. | recall |\n|:--|--:|--:|--:|--:|--:|"
+    # The window is narrow: without a space of their own, heads of columns touch.
+    heads = "".join(f" \N{EN SPACE}{name} |" for name in ("true", "false", "missed", "prec.", "recall"))
+    columns = f"| |{heads}\n|:--|--:|--:|--:|--:|--:|"
     return f"{head}\n\n{columns}\n{table}"
 
 

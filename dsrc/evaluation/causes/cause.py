@@ -6,7 +6,7 @@ The first of the causes in the order of `MISSED` and `FALSE` that holds is it; t
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -17,12 +17,14 @@ from dsrc.data.sample import Range
 from dsrc.evaluation.causes.sight import hidden_by
 from dsrc.evaluation.detection_table import DetectionTable, points_left
 from dsrc.evaluation.metrics.ap import overlapping_pairs
-from dsrc.messages.attacks import Lie
 from sensors.frame import Frame
 from sensors.sweep import SCATTERED
 from sim.boxes import CLASSES, Boxes
 from sim.errors import DataError, complaint
 from sim.geometry import invert, transform_points
+
+if TYPE_CHECKING:
+    from dsrc.messages.attacks import Lie  # torch comes with it, and the page's first picture does without
 
 MissedKind = Literal[
     "out of range",
@@ -121,7 +123,7 @@ class Circumstances:
     team: tuple[int, ...] | None = None
     range_m: Range | None = None
     ages: Mapping[int, float | None] = field(default_factory=dict)
-    lies: Mapping[int, Lie] = field(default_factory=dict)
+    lies: "Mapping[int, Lie]" = field(default_factory=dict)
 
 
 NOTHING_ELSE = Circumstances()

@@ -2,13 +2,13 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from dsrc.data.drives import Drive
 from dsrc.data.sample import SampleDetector
 from dsrc.evaluation.causes.cause import Circumstances, ErrorCause, frame_causes
 from dsrc.evaluation.detection_table import DetectionTable
-from dsrc.evaluation.listener import lies_in, misplaced
-from dsrc.messages.attacks import Lie
+from dsrc.faults.condition import faults_of
 from dsrc.review.errors.filters import ErrorFilter
 from dsrc.review.errors.index import ErrorIndex, changes
 from dsrc.review.errors.judged import Counts, JudgedRun
@@ -19,6 +19,9 @@ from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, drive_seed
 from sensors.frame import Frame
 from sim.errors import SettingsError, complaint, did_you_mean
+
+if TYPE_CHECKING:
+    from dsrc.messages.attacks import Lie
 
 DETECTOR = "detector"
 """Name of the set of a detector without one."""
@@ -81,7 +84,9 @@ class Judgements(Recordings):
         alone = not setup.cooperative if not own.recorded else run is not None and run.agents == 1
         source, ego_id, corrupted = self.sources[state.drive], int(table.ego_id[0]), self.frame(state)
         told: dict[int, Lie] = {}
-        if isinstance(source, DriveSource) and not alone:
+        if isinstance(source, DriveSource) and not alone and any(one.attack for one in faults_of(setup.condition)):
+            from dsrc.evaluation.listener import lies_in, misplaced  # torch comes with it: not before it is needed
+
             # In an episode a liar knows the ego's route, and its ghost waits: no frame tells where.
             seed, others = drive_seed(source.seed, source.name), [one.agent_id for one in clean.agents]
             told = lies_in(clean, setup.condition, seed, [one for one in others if one != ego_id], {})

@@ -267,8 +267,6 @@ def test_pictures_leave_no_browser_behind(tmp_path: Path, monkeypatch: pytest.Mo
     fake = tmp_path / "chromium"
     fake.write_text("#!/bin/sh\nexit 3\n")
     fake.chmod(0o755)
-    with (
-        pytest.raises(SettingsError, match="the browser ended with code 3"),
-        open_page("about:blank", chromium=str(fake)),
-    ):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SettingsError, match="the browser ended with code 3"), open_page("about:blank"):
         pass
