@@ -78,6 +78,7 @@ def detection_details(
     box = judged.boxes[rank : rank + 1].transform(frame.agent(ego_id).sweep.world_from_lidar)
     nearest, overlap = judged.nearest_at(iou, rank)
     verdict = "true" if judged.at(iou).matched[rank] >= 0 else "false"
+    object_id = int(judged.table.object_id[nearest]) if nearest >= 0 else None
     return DetectionDetails(
         rank=rank,
         class_name=CLASSES[box.label[0]],
@@ -85,7 +86,8 @@ def detection_details(
         distance_m=_distance(frame, ego_id, box.center[0]),
         score=float(judged.table.score[rank]),
         verdict=verdict if labelled else "",
-        object_id=int(judged.table.object_id[nearest]) if nearest >= 0 else None,
+        object_id=object_id,
+        object_name="" if object_id is None else f"{CLASSES[judged.table.label[nearest]]} {object_id}",
         iou=overlap,
         points=tuple(zip(titles, _points_in(frame, box), strict=True)),
     )

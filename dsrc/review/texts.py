@@ -127,7 +127,7 @@ def _detection_card(details: DetectionDetails) -> str:
     head = f"**{details.class_name}, score {details.score:.2f}**"
     verdict = f", **{details.verdict}**" if details.verdict else ""
     why = f"\n\n{quoted(details.cause)}" if details.cause else ""
-    nearest = "overlaps no object" if details.object_id is None else f"IoU {details.iou:.2f} with {details.object_id}"
+    nearest = f"IoU {details.iou:.2f} with {details.object_name}" if details.object_name else "overlaps no object"
     rows = "\n".join(f"| {agent} | {points} |" for agent, points in details.points)
     place = f"{_size(details.size)} · {details.distance_m:.1f} m away"
     table = f"| | points in the box |\n|:--|--:|\n{rows}"

@@ -157,11 +157,13 @@ class DetectionDetails(_Details):
     Attributes: those of any box, and
         rank: its place in the order of the scores.
         object_id: the matched object, for a false positive the one that it overlaps most; None without overlap.
+        object_name: displayed name of that object, "" without overlap.
         points: points of each agent in the box, as drawn: (displayed name, number).
     """
 
     rank: int
     object_id: int | None
+    object_name: str
     points: tuple[tuple[str, int], ...]
 
 

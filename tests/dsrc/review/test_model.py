@@ -196,6 +196,12 @@ def test_object_details_as_text(truth_model: ReviewModel) -> None:
     )
 
 
+def test_a_detection_is_said_to_overlap_a_road_user_by_its_name(model: ReviewModel) -> None:
+    cards = [selection_report(model.view(ReviewState(detection=rank)).details) for rank in range(5)]
+    assert any(f"with car {number}" in card for card in cards for number in (1001, 1002, 1003, 1004, 1005))
+    assert all("overlaps no object" in card or "with car 1" in card or "with truck 1" in card for card in cards)
+
+
 def test_a_corruption_of_an_agent_changes_nothing_in_frames_without_it_and_the_page_says_so(
     truth_model: ReviewModel,
 ) -> None:
