@@ -5,9 +5,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from dsrc.review.frames import FrameStore
 from dsrc.review.sources.base import Setup
@@ -19,37 +19,34 @@ from sim.errors import SettingsError, UserError, complaint
 
 log = logging.getLogger(__name__)
 
-JobState = Literal["waiting", "running", "done", "cancelled", "failed"]
-_JOBS_KEPT = 50
 
-
-@dataclass(frozen=True, slots=True)
-class JobProgress:
-    """Progress of a job.
+@dataclass(slots=True, eq=False)
+class Job:
+    """Detections over a whole run; its worker changes it.
 
     Attributes:
-        number: of the job.
-        method: name of the set that it fills.
-        store: frames of the source; names of sources may be equal.
+        store: frames of the source.
+        own: set that it fills.
         setup: of the detections.
-        state: of the job.
-        done: frames that are known or skipped.
+        rows: frames that are left, in their order.
         total: frames of the run.
-        seconds: time that it has run.
+        state: of the job.
+        seconds: time for which it has detected.
         skipped: frames that cannot be read or detected in, with what is wrong with them.
         error: what ended a failed job, or "".
+        stops: whether it is cancelled once the frame that it is at is done.
     """
 
-    number: int
-    method: str
     store: FrameStore
+    own: ComputedSet
     setup: Setup
-    state: JobState = "waiting"
-    done: int = 0
-    total: int = 0
+    rows: deque[int]
+    total: int
+    state: Literal["waiting", "running", "done", "cancelled", "failed"] = "waiting"
     seconds: float = 0.0
-    skipped: tuple[tuple[int, str], ...] = ()
+    skipped: list[tuple[int, str]] = field(default_factory=list)
     error: str = ""
+    stops: bool = False
 
     @property
     def ended(self) -> bool:
@@ -57,39 +54,30 @@ class JobProgress:
         return self.state in ("done", "cancelled", "failed")
 
     @property
+    def done(self) -> int:
+        """Number of frames that are known or skipped."""
+        return self.total - len(self.rows)
+
+    @property
     def left_s(self) -> float | None:
         """Time that it will still take, s; None while unknown."""
-        return None if not self.done or self.ended else self.seconds / self.done * (self.total - self.done)
-
-
-class _Job(NamedTuple):
-    store: FrameStore
-    own: ComputedSet
-    setup: Setup
-    start: int
+        return self.seconds / self.done * len(self.rows) if self.done and not self.ended else None
 
 
 class Worker:
-    """Thread that fills sets of detections, one run after another, and reads frames ahead between two of theirs.
-
-    With nothing else to do it reads the objects of all frames of a source.
-    """
+    """Thread that does one frame after another: reads ahead, else detects in the oldest job, else reads a history."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._waiting: deque[int] = deque()
-        self._jobs: dict[int, _Job] = {}
-        self._progress: dict[int, JobProgress] = {}
-        self._cancelled: set[int] = set()
+        self._jobs: deque[Job] = deque()
         self._ahead: deque[partial[Frame]] = deque()
         self._over: DriveHistory | None = None
-        self._count = 0
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="review-background", daemon=True)
         self._thread.start()
 
-    def detect(self, store: FrameStore, method: str, setup: Setup, start: int = 0) -> int:
-        """Fill a computed set over the whole run, from a frame on and then from the first; return the job's number.
+    def detect(self, store: FrameStore, method: str, setup: Setup, start: int = 0) -> Job:
+        """Fill a computed set over the whole run, from a frame on and then from the first.
 
         A job that waits or runs for the same detections is returned instead of a second one.
 
@@ -104,17 +92,14 @@ class Worker:
         with self._changed:
             if self._closed:
                 raise RuntimeError("the worker is closed")
-            for number, job in self._jobs.items():
-                if (job.store, job.own, job.setup) == (store, own, setup) and number not in self._cancelled:
-                    return number
-            number = self._count = self._count + 1
-            self._jobs[number] = _Job(store, own, setup, start)
-            total = len(store.source)
-            self._progress[number] = JobProgress(number, method, store, setup, total=total)
-            self._waiting.append(number)
-            self._forget_old()
+            for job in self._jobs:
+                if (job.store, job.own, job.setup, job.stops) == (store, own, setup, False):
+                    return job
+            rows = deque(range(len(store.source)))
+            rows.rotate(-start)
+            self._jobs.append(job := Job(store, own, setup, rows, len(rows)))
             self._changed.notify_all()
-        return number
+        return job
 
     def prefetch(
         self, store: FrameStore, rows: Sequence[int], condition: Condition | None = None, ego_id: int | None = None
@@ -131,58 +116,77 @@ class Worker:
             self._over = history
             self._changed.notify_all()
 
-    def cancel(self, number: int) -> None:
+    def jobs(self) -> list[Job]:
+        """Jobs that wait or run, in their order."""
+        with self._changed:
+            return list(self._jobs)
+
+    def cancel(self, job: Job) -> None:
         """End a job after the frame that it is at; what it has found stays."""
         with self._changed:
-            if number in self._jobs:
-                self._cancelled.add(number)
-            if number in self._waiting:
-                self._waiting.remove(number)
-                self._end(number, "cancelled")
-            self._changed.notify_all()
+            job.stops = True
+            if job.state == "waiting":
+                self._end(job, "cancelled")
 
-    def progress(self, number: int) -> JobProgress:
-        """Progress of a job; KeyError for an unknown or long forgotten one."""
+    def wait(self, job: Job, timeout_s: float) -> Job:
+        """Wait for the end of a job and return it, whether it has ended or not."""
         with self._changed:
-            return self._progress[number]
-
-    def jobs(self) -> list[JobProgress]:
-        """Progress of the latest jobs, in the order of their numbers."""
-        with self._changed:
-            return [self._progress[number] for number in sorted(self._progress)]
-
-    def wait(self, number: int, timeout_s: float) -> JobProgress:
-        """Wait for the end of a job and return its progress, whether it has ended or not."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._progress[number].ended, timeout_s)
-            return self._progress[number]
+            self._changed.wait_for(lambda: job.ended, timeout_s)
+        return job
 
     def close(self) -> None:
         """End after the frame that the worker is at; jobs that wait or run are cancelled."""
         with self._changed:
             self._closed = True
-            self._ahead.clear()
-            for number in list(self._waiting):
-                self._end(number, "cancelled")
-            self._waiting.clear()
-            self._cancelled |= set(self._jobs)
+            for job in list(self._jobs):
+                self._end(job, "cancelled")
             self._changed.notify_all()
         self._thread.join(timeout=60.0)
 
     def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._waiting or self._ahead or self._over)
-                if self._closed:
-                    return
-                number = self._waiting.popleft() if not self._ahead and self._waiting else None
-                over = self._over if not self._ahead else None
-            if number is not None:
-                self._run(number)
-            elif over is not None:
-                self._read_over(over)
-            else:
-                self._read_ahead()
+        while (work := self._next()) is not None:
+            work()
+
+    def _next(self) -> Callable[[], object] | None:
+        """Work on one frame, once there is some; None when the worker is closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self._ahead or self._jobs or self._over is not None)
+            if self._closed:
+                return None
+            if self._ahead:
+                return partial(self._read_ahead, self._ahead.popleft())
+            if self._jobs:
+                self._jobs[0].state = "running"
+                return partial(self._detect, self._jobs[0])
+            return None if self._over is None else partial(self._read_over, self._over)
+
+    def _read_ahead(self, read: partial[Frame]) -> None:
+        try:
+            read()
+        except UserError:
+            log.debug("frame %d cannot be read ahead", read.args[0])  # told where it is drawn
+        except Exception:
+            log.exception("frame %d cannot be read ahead", read.args[0])
+
+    def _detect(self, job: Job) -> None:
+        """Detect in the next frame of a job, and end it after its last."""
+        row, started, failed = job.rows[0] if job.rows and not job.stops else -1, time.monotonic(), ""
+        try:
+            if row >= 0 and job.own.get(row, job.setup) is None:
+                corrupted = job.store.corrupted(row, job.setup.condition, job.setup.ego_id)
+                job.own.compute(row, job.store.recorded(row), corrupted, job.setup)
+        except UserError as error:
+            job.skipped.append((row, str(error)))
+        except Exception as error:
+            log.exception("frame %d of %s cannot be detected in", row, job.store.source.name)
+            failed = f"frame {row}: {type(error).__name__}: {error}"
+        with self._changed:
+            job.seconds += time.monotonic() - started
+            if row >= 0 and not failed:
+                job.rows.popleft()
+            if not job.ended and (failed or job.stops or not job.rows):
+                job.error = failed
+                self._end(job, "failed" if failed else "cancelled" if job.rows else "done")
 
     def _read_over(self, history: DriveHistory) -> None:
         lacking = history.lacking()
@@ -196,63 +200,11 @@ class Worker:
             if self._over is history and len(lacking) < 2:
                 self._over = None
 
-    def _read_ahead(self) -> None:
-        with self._changed:
-            if not self._ahead:
-                return
-            read = self._ahead.popleft()
-        try:
-            read()
-        except UserError:
-            log.debug("frame %d cannot be read ahead", read.args[0])  # told where it is drawn
-        except Exception:
-            log.exception("frame %d cannot be read ahead", read.args[0])
-
-    def _run(self, number: int) -> None:
-        job = self._jobs[number]
-        started, total = time.monotonic(), len(job.store.source)
-        skipped: list[tuple[int, str]] = []
-        self._tell(number, state="running", total=total)
-        start = min(job.start, max(total - 1, 0))
-        for done, row in enumerate([*range(start, total), *range(start)]):
-            while self._ahead:
-                self._read_ahead()
-            if number in self._cancelled:
-                self._end(number, "cancelled")
-                return
-            try:
-                self._detect(job, row)
-            except UserError as error:
-                skipped.append((row, str(error)))
-            except Exception as error:
-                log.exception("frame %d of %s cannot be detected in", row, job.store.source.name)
-                self._end(number, "failed", f"frame {row}: {type(error).__name__}: {error}")
-                return
-            seconds = time.monotonic() - started
-            self._tell(number, done=done + 1, seconds=seconds, skipped=tuple(skipped))
-        self._end(number, "done")
-
-    def _detect(self, job: _Job, row: int) -> None:
-        if job.own.get(row, job.setup) is None:
-            clean = job.store.recorded(row)
-            job.own.compute(row, clean, job.store.corrupted(row, job.setup.condition, job.setup.ego_id), job.setup)
-
-    def _tell(self, number: int, **changes: object) -> None:
-        with self._changed:
-            self._progress[number] = replace(self._progress[number], **changes)  # type: ignore[arg-type]
-            self._changed.notify_all()
-
-    def _end(self, number: int, state: JobState, error: str = "") -> None:
-        with self._changed:
-            self._progress[number] = replace(self._progress[number], state=state, error=error)
-            self._jobs.pop(number, None)
-            self._cancelled.discard(number)
-            self._changed.notify_all()
-
-    def _forget_old(self) -> None:
-        ended = [number for number, one in sorted(self._progress.items()) if one.ended]
-        for number in ended[: max(len(self._progress) - _JOBS_KEPT, 0)]:
-            del self._progress[number]
+    def _end(self, job: Job, state: Literal["done", "cancelled", "failed"]) -> None:
+        """End a job; the lock is held."""
+        job.state = state
+        self._jobs.remove(job)
+        self._changed.notify_all()
 
 
 class Latest:

@@ -11,13 +11,13 @@ from collections.abc import Callable
 
 import viser
 
-from dsrc.review.page.cells import OPEN_KEY
-
 LINK_KEY = "review-link"
 """Key of the browser's storage under which the server writes the query that the address bar shows."""
 
 PICTURE_KEY = "review-picture"
 """The same of a picture to save: JSON of its file name, the data URL of the scene and the HTML drawn over it."""
+OPEN_KEY = "review-open"
+"""The same of an address to go to."""
 COPY_KEY = "review-copy"
 """The same of the wish to copy the address."""
 

@@ -11,14 +11,12 @@ from urllib.parse import parse_qsl, quote, urlencode
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import CameraPose
-from dsrc.review.page.protocol import Page
+from dsrc.review.page.page import Page
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, CORRUPTIONS
 
 PATH = "/compare"
 """Path of the page; its query holds the links of both cells."""
-OPEN_KEY = "review-open"
-"""Key of the browser's storage under which the server writes an address to go to."""
 PAIR = "pair"
 """Name in a cell's link of the pair that it belongs to, with its place after a point."""
 
@@ -55,6 +53,7 @@ class CellPair:
         with self._lock:
             others = list(self.cells)
             self.cells.append(cell)
+            cell.cells = self.cells
             self._given[id(cell)] = deque(maxlen=_REMEMBERED)
             before = others[0].state.drive if others else cell.state.drive
             if before != cell.state.drive and cell.state.drive in cell.model.twins(before):
@@ -68,7 +67,7 @@ class CellPair:
     def remove(self, cell: Page) -> None:
         """Remove a cell."""
         with self._lock:
-            self.cells = [one for one in self.cells if one is not cell]
+            self.cells.remove(cell)
             self._given.pop(id(cell), None)
 
     def state_changed(self, cell: Page, state: ReviewState) -> None:
@@ -97,7 +96,7 @@ class CellPair:
         with self._lock:
             others = [one for one in self.cells if one is not cell]
         for other in others:
-            other.look(pose)
+            other.camera.set(pose, own=False)
 
     def _shared(self, state: ReviewState) -> tuple[Any, ...]:
         return tuple(getattr(state, name) for name in self._shares)

@@ -6,9 +6,11 @@ from functools import partial
 
 from dsrc.review.errors.index import next_error
 from dsrc.review.errors.report import first_unknown, shown_error
+from dsrc.review.page.browser import OPEN_KEY
+from dsrc.review.page.cells import cells_of, compare_address
 from dsrc.review.page.controls import Control
+from dsrc.review.page.page import GoesOn, Page
 from dsrc.review.page.panels import CONTROLS
-from dsrc.review.page.protocol import GoesOn, Page
 from dsrc.review.state import Listed
 from sensors.corruptions import CLEAN, CORRUPTIONS
 
@@ -61,7 +63,7 @@ def _look_for_error(page: Page, step: int, listed: Listed | None, goes_on: GoesO
         running = bool(page.detecting())
         with page.using_model:
             gap = first_unknown(page.model, start, step)
-        report = page.report(wanted)
+        report = page.report(wanted, newest=True)
         errors = report.errors.in_order()
         row = next_error(errors, start.frame, shown_error(errors, start), step)
         if row is not None and (gap is None or (errors.row[row] - gap) * step < 0 or (detecting and not running)):
@@ -129,6 +131,30 @@ def go_to_step(page: Page, name: str) -> None:
         page.tell(f"No {name} in this episode." if met.explained else f"The {name} is still looked for.")
 
 
+def side_by_side(page: Page) -> None:
+    """Open cells with linked cameras, or go back to one page from there."""
+    pose = page.camera.pose
+    if page.cells:
+        address = f"/?{page.link(page.state, pose)}"
+    else:
+        with page.using_model:
+            cells = cells_of(page.model, page.state, page.last_corruption)
+        address = compare_address(*(page.link(one, pose) for one in cells))
+    page.client.local_storage.set_item(OPEN_KEY, address)
+
+
+def toggle_help(page: Page) -> None:
+    """Open or close the list of keys."""
+    if page.help is not None:
+        page.help.close()
+        page.help = None
+        return
+    page.help = page.gui.add_modal("Keys")
+    with page.help:
+        page.gui.add_markdown(f"{keys_table()}\n\nW A S D Q E and the arrows move the camera.")
+        page.gui.add_button("Close").on_click(lambda _: toggle_help(page))
+
+
 def _take_next(control: Control, page: Page) -> None:
     shown = page.shown
     if control.enabled(shown) and control.shown(shown):
@@ -154,7 +180,7 @@ COMMANDS: tuple[Command, ...] = (
         for name, key in (("contact", "M"), ("first sight", "9"), ("first track", "8"), ("first full brake", "Z"))
     ),
     Command("Clean or corrupted", "X", toggle_corruption),
-    Command("Side by side, or one page", "Y", lambda page: page.side_by_side()),
+    Command("Side by side, or one page", "Y", side_by_side),
     Command("Methods over each other", "O", lay_over),
     Command("Camera: chase the ego", "C", lambda page: page.place_camera("chase")),
     Command("Camera: bird's eye", "B", lambda page: page.place_camera("bev")),
@@ -173,7 +199,7 @@ COMMANDS: tuple[Command, ...] = (
         for control in CONTROLS
         if control.key
     ),
-    Command("Help: list of the keys", "H", lambda page: page.toggle_help()),
+    Command("Help: list of the keys", "H", toggle_help),
 )  # fmt: skip
 """The commands, in the order of the help. `?` is the H of the help."""
 

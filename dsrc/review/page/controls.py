@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from dsrc.review.page.protocol import Shown
+from dsrc.review.page.page import Shown
 
 Options = Callable[[Shown], dict[str, Any]]
 

@@ -13,8 +13,8 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.cameras import UP, CameraPose
 from dsrc.review.page.cells import links_of
 from dsrc.review.page.controls import Choice, Control, Slider
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels import CONTROLS
-from dsrc.review.page.protocol import Shown
 from dsrc.review.state import SHOWN_LAYERS, ReviewState
 from dsrc.review.view import DetectionDetails, FrameView
 from sensors.corruptions import CLEAN, Changes, Condition, parse_agents
@@ -40,7 +40,7 @@ _ROWS = {control.link: control for control in CONTROLS if control.link}
 _PLAIN = re.compile(r"[\w.~-]+", re.ASCII)
 
 
-def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None) -> str:
+def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None = None) -> str:
     """Query of a state and a camera pose; what is as ever, and so at the start of the page, is left out."""
     parts, start = [], model.start
     if state.drive != start.drive:

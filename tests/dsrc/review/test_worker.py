@@ -30,9 +30,8 @@ def test_a_run_is_detected_once_from_a_frame_on(
     worker: Worker, model: ReviewModel, drive: FakeDrive, detector: FakeDetector
 ) -> None:
     store = model.stores[0]
-    number = worker.detect(store, DETECTOR, Setup(), start=5)
-    progress = worker.wait(number, 60.0)
-    assert (progress.state, progress.done, progress.total, progress.skipped) == ("done", 12, 12, ())
+    job = worker.wait(worker.detect(store, DETECTOR, Setup(), start=5), 60.0)
+    assert (job.state, job.done, job.total, job.skipped) == ("done", 12, 12, [])
     assert store.source.sets[DETECTOR].rows(Setup()).tolist() == list(range(12))
     order = [int(sample.key.split("/")[1]) for sample in detector.samples]
     assert order == [*range(5, 12), *range(5)]
@@ -52,17 +51,17 @@ def test_a_cancelled_job_keeps_what_it_found(worker: Worker, model: ReviewModel,
         return detect(sample)
 
     detector.detect = slow
-    number = worker.detect(model.stores[0], DETECTOR, Setup())
+    runs = worker.detect(model.stores[0], DETECTOR, Setup())
     waits = worker.detect(model.stores[0], DETECTOR, Setup(ego_id=1002))
-    assert worker.detect(model.stores[0], DETECTOR, Setup()) == number
+    assert worker.detect(model.stores[0], DETECTOR, Setup()) is runs
     assert entered.wait(30.0)
-    assert worker.progress(number).state == "running" and worker.progress(waits).state == "waiting"
+    assert (runs.state, waits.state) == ("running", "waiting") and worker.jobs() == [runs, waits]
     worker.cancel(waits)
-    worker.cancel(number)
+    worker.cancel(runs)
     go.set()
-    assert worker.wait(number, 30.0).state == worker.wait(waits, 30.0).state == "cancelled"
+    assert worker.wait(runs, 30.0).state == worker.wait(waits, 30.0).state == "cancelled"
     assert len(model.stores[0].source.sets[DETECTOR].rows(Setup())) == 1
-    assert [one.number for one in worker.jobs()] == [number, waits]
+    assert worker.jobs() == []
 
 
 def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(
@@ -76,8 +75,8 @@ def test_a_broken_frame_is_skipped_and_told_and_a_broken_detector_ends_the_job(
         return read(row)
 
     drive.read = broken
-    progress = worker.wait(worker.detect(model.stores[0], DETECTOR, Setup()), 60.0)
-    assert progress.state == "done" and progress.skipped == ((3, "000003.pcd: not a readable point cloud"),)
+    job = worker.wait(worker.detect(model.stores[0], DETECTOR, Setup()), 60.0)
+    assert job.state == "done" and job.skipped == [(3, "000003.pcd: not a readable point cloud")]
     assert 3 not in model.stores[0].source.sets[DETECTOR].rows(Setup())
 
     def fails(sample: Sample) -> None:
@@ -132,14 +131,12 @@ def test_only_detectors_can_be_asked(worker: Worker, model: ReviewModel, drive: 
         worker.detect(model.stores[0], "stored", Setup())
     with pytest.raises(SettingsError, match="street: nothing: expected a detector, found none"):
         worker.detect(model.stores[0], "nothing", Setup())
-    with pytest.raises(KeyError):
-        worker.progress(77)
 
 
 def test_a_closed_worker_ends_its_jobs(drive: FakeDrive, detector: FakeDetector) -> None:
     model, worker = ReviewModel([drive], detector), Worker()
-    numbers = [worker.detect(model.stores[0], DETECTOR, Setup(ego_id=ego)) for ego in (1000, 1002)]
+    jobs = [worker.detect(model.stores[0], DETECTOR, Setup(ego_id=ego)) for ego in (1000, 1002)]
     worker.close()
-    assert all(worker.progress(number).state in ("cancelled", "done") for number in numbers)
+    assert all(job.state in ("cancelled", "done") for job in jobs)
     with pytest.raises(RuntimeError, match="closed"):
         worker.detect(model.stores[0], DETECTOR, Setup())

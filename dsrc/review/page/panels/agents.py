@@ -1,8 +1,8 @@
 """Agents: which of them have their points drawn."""
 
 from dsrc.review.page.controls import Control, Switch
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import BoundControl, Panel
-from dsrc.review.page.protocol import Shown
 
 
 class AgentsPanel(Panel):

@@ -3,8 +3,8 @@
 from typing import Any
 
 from dsrc.review.page.controls import Choice, Control, Slider, Switch, detects, same
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from dsrc.review.state import IOU_THRESHOLDS
 
 

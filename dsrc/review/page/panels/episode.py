@@ -1,7 +1,7 @@
 """Episode: what the driver does at the drawn step and why, how it ends, and the cause of a crash."""
 
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from dsrc.review.texts import moment_report, quoted
 
 

@@ -1,7 +1,7 @@
 """Legend: what the frame counts, and what colours mean."""
 
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from dsrc.review.texts import frame_report, legend, notice_text
 
 _WIDTH_PX = 315

@@ -1,8 +1,8 @@
 """Look: speed, camera, points, layers and theme."""
 
 from dsrc.review.page.controls import Choice, Control, Slider, Switch, named, same
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel
-from dsrc.review.page.protocol import Shown
 from dsrc.review.state import COLOR_BY, EPISODE_LAYERS, SHOWN_LAYERS
 
 _SPEEDS = {f"{speed:g}×": speed for speed in (0.25, 0.5, 1.0, 2.0, 4.0)}

@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, clickable, set_fields
-from dsrc.review.page.protocol import Shown
 
 
 class OverTimePanel(Panel):

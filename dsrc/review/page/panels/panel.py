@@ -5,7 +5,7 @@ from contextlib import nullcontext
 from typing import Any, ClassVar
 
 from dsrc.review.page.controls import Choice, Control, Slider
-from dsrc.review.page.protocol import Page, Shown
+from dsrc.review.page.page import Page, Shown
 
 
 class Panel:

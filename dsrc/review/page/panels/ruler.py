@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from dsrc.review.page.controls import Control
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from dsrc.review.texts import ruler_report
 from sim.geometry import invert, transform_points
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from dsrc.review.page.browser import COPY_KEY, PICTURE_KEY
 from dsrc.review.page.offline.pages import over_sky, picture_parts, views_html
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from sim.errors import DataError, UserError
 
 log = logging.getLogger(__name__)

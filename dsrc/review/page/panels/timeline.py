@@ -1,8 +1,8 @@
 """Timeline: drive and frame, with buttons that step and play, above the folders."""
 
 from dsrc.review.page.controls import Choice, Control, Slider
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 
 _STEPS = {"−10": -10, "−1": -1, "+1": 1, "+10": 10}
 

@@ -10,7 +10,7 @@ import pytest
 from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.commands import COMMANDS
+from dsrc.review.page.commands import COMMANDS, toggle_help
 from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
@@ -258,7 +258,7 @@ def test_a_click_on_a_picture_of_the_gallery_opens_its_error_with_its_cause(open
 def test_help_opens_on_a_question_mark(opened: Opened) -> None:
     opened.key("?", code="Slash", text="?", modifiers=8)
     opened.page.wait_for("document.body.innerText.includes('Ten frames forward')", PATIENCE_S)
-    opened.session.toggle_help()
+    toggle_help(opened.session)
     opened.page.wait_for("!document.body.innerText.includes('Ten frames forward')", PATIENCE_S)
 
 

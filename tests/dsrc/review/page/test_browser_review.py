@@ -16,6 +16,7 @@ from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import LivePage, ReviewApp
 from dsrc.review.page.cameras import LATE_S
 from dsrc.review.page.cells import compare_address
+from dsrc.review.page.commands import side_by_side
 from dsrc.review.page.output.screenshot import find_chromium, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.sources.live import LiveSource
@@ -214,7 +215,7 @@ def test_the_page_and_its_cells_work_below_a_path_of_a_proxy(model: ReviewModel)
             opened = Opened(app, page)
             assert opened.session.view.index == 2
             page.wait_for("location.search.includes('view=')", PATIENCE_S)
-            opened.session.side_by_side()
+            side_by_side(opened.session)
             page.wait_for("location.pathname.endsWith('/compare')", PATIENCE_S)
             assert page.evaluate("location.pathname") == f"{PREFIX.decode()}/compare"
             wait_for(lambda: len(app.sessions) == 2)

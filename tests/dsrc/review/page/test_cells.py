@@ -10,7 +10,8 @@ import pytest
 
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.cells import OPEN_KEY, CellPair, cells_of, compare_address
+from dsrc.review.page.browser import OPEN_KEY
+from dsrc.review.page.cells import CellPair, cells_of, compare_address
 from dsrc.review.page.commands import COMMANDS
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session

@@ -157,11 +157,12 @@ def test_drives_of_one_name_detect_for_themselves(
         detect, gate = detector.detect, threading.Event()
         monkeypatch.setattr(detector, "detect", lambda sample: gate.wait(10.0) and detect(sample))
         first.detect_all()
-        assert len(first.detecting()) == 1 and not second.detecting()
+        (job,) = first.detecting()
+        assert not second.detecting()
         second.cancel()
         gate.set()
         wait_for(lambda: not first.detecting())
-        assert [job.state for job in app.worker.jobs()] == ["done"]
+        assert job.state == "done" and app.worker.jobs() == []
     finally:
         app.close()
 

@@ -16,8 +16,8 @@ from dsrc.models.storage.checkpoint import load_student
 from dsrc.options.detection import Evaluation
 from dsrc.review.frames import Recordings
 from dsrc.review.model import ReviewModel
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels import CONTROLS
-from dsrc.review.page.protocol import Shown
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.detected import ComputedSet, corrupted_frame
 from dsrc.review.sources.opening import add_detectors, open_sources

@@ -12,8 +12,8 @@ import pytest
 from dsrc.__main__ import main
 from dsrc.evaluation.sharing.stored import FILE, SharedBox, StoredShares, read_shares
 from dsrc.review.model import ReviewModel, open_model
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels import CONTROLS
-from dsrc.review.page.protocol import Shown
 from dsrc.review.sources.base import Setup
 from dsrc.review.sources.opening import open_sources
 from dsrc.review.sources.results import SharedSource

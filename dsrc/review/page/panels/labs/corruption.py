@@ -5,14 +5,12 @@ from typing import Any
 
 from dsrc.review.labs.parameters import CorruptionParameter, changed, parameters_of
 from dsrc.review.page.controls import Choice, Control, Slider, Switch, same
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import BoundControl, Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from dsrc.review.state import IOU_THRESHOLDS, ReviewState
 from dsrc.review.texts import fates_table
 from sensors.corruptions import CLEAN, CORRUPTIONS, EVERYONE, FAMILIES
 
-_PATIENCE_S = 2.0
-"""Age up to which scores may lack frames that were detected in since, s."""
 _WHOLE_RUN: dict[str, Any] = {
     "listed": "all", "versus": "", "error_method": "", "error_class": "", "error_range": "any", "error_seen_by": "",
 }  # fmt: skip
@@ -122,11 +120,10 @@ class CorruptionLabPanel(Panel):
             set_fields(self.detect, visible=False)
             return
         lacking, jobs = False, bool(self._page.detecting())
-        patience = _PATIENCE_S if jobs or self._page.playing else 0.0
         clean_and_corrupted = (CLEAN, CLEAN), (state.corruption.replace("_", " "), state.corruption)
         rows = []
         for title, corruption in clean_and_corrupted:
-            run = self._page.report(replace(state, corruption=corruption, methods=(method,), **_WHOLE_RUN), patience)
+            run = self._page.report(replace(state, corruption=corruption, methods=(method,), **_WHOLE_RUN))
             lacking |= run.known < run.total
             known = [f"{100 * run.curves[method, iou].ap:.1f}" if run.known else "–" for iou in IOU_THRESHOLDS]
             rows.append(f"| {title} | {' | '.join(known)} | {run.known} of {run.total} |")

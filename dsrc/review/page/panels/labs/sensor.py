@@ -11,9 +11,10 @@ from viser.transforms import SO3
 
 from dsrc.review.labs.placement import Cast, Placement
 from dsrc.review.page.controls import Choice, Control, named
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from dsrc.review.page.scene import place_frame
+from dsrc.review.page.stage import root_of
 from dsrc.review.palette import SENSOR
 from dsrc.review.points import subsample
 from dsrc.review.texts import quoted, thousands
@@ -128,7 +129,7 @@ class SensorLabPanel(Panel):
         for handle in (self.position, self.angles, self.usual, self.text):
             set_fields(handle, visible=bool(shown.state.sensor))
         wish = _wish(shown)
-        if wish is None or self._root != self._page.root:
+        if wish is None or self._root != root_of(self._page.state.drive):
             self._clear()
         if wish is None:
             return
@@ -239,7 +240,7 @@ class SensorLabPanel(Panel):
         self.cast, self.text.content = made, cast_report(wish.spec, made)
 
     def _clear(self) -> None:
-        self._wish, self.cast, self._root = None, None, self._page.root
+        self._wish, self.cast, self._root = None, None, root_of(self._page.state.drive)
         self._latest.cancel()
         for name in ("cloud", "lidar", "gizmo"):
             if name in self._nodes:

@@ -12,12 +12,12 @@ from dsrc.review.errors.notes import errors_csv
 from dsrc.review.errors.report import BANDS, BROKEN, FIXED, RunReport, shown_error, versus_options
 from dsrc.review.errors.score_plots import BINS, STEPS, curve_svg, histogram_svg
 from dsrc.review.page.controls import Choice, Control, detects, named, same
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, clickable, set_fields
-from dsrc.review.page.protocol import Shown
 from dsrc.review.palette import Rgb
 from dsrc.review.state import IOU_THRESHOLDS, Listed, ReviewState, Theme, other_run
 from dsrc.review.texts import html_table, quoted
-from dsrc.review.worker import JobProgress
+from dsrc.review.worker import Job
 from sim.boxes import CLASSES
 from sim.errors import SettingsError
 
@@ -25,7 +25,6 @@ ROWS = 8
 """Errors on a page of the list."""
 FRAMES = 30
 """Worst frames in their list."""
-_PATIENCE_S = 2.0
 _CHOSEN = (56, 150, 255)
 _OTHER: dict[Theme, Rgb] = {"dark": (62, 70, 84), "light": (222, 227, 234)}
 """Colours of the other errors' buttons; the browser chooses a text that can be read on them."""
@@ -100,9 +99,8 @@ class ErrorsPanel(Panel):
         if not shown.judged:
             return
         super().show(shown)
-        patience = _PATIENCE_S if self._page.playing or self._page.detecting() else 0.0
         try:
-            report = self._page.report(shown.state, patience)
+            report = self._page.report(shown.state)
         except SettingsError as error:
             self._clear(str(error))
             return
@@ -237,7 +235,7 @@ def _title(errors: ErrorTable, row: int) -> str:
     return f"{errors.row[row]}: {what}, {errors.distance_m[row]:.0f} m{points}{method}"
 
 
-def _running(jobs: list[JobProgress]) -> str:
+def _running(jobs: list[Job]) -> str:
     if not jobs:
         return ""
     left = [job.left_s for job in jobs]

@@ -2,8 +2,8 @@
 
 from dsrc.review.errors.gallery import gallery_html
 from dsrc.review.page.controls import Control, Switch, detects
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from sim.errors import SettingsError
 
 

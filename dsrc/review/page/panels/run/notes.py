@@ -5,11 +5,10 @@ from typing import Any
 
 from dsrc.review.errors.notes import Note, NoteChanged, error_key, former_key
 from dsrc.review.errors.report import shown_error
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from sim.errors import DataError, SettingsError
 
-_PATIENCE_S = 2.0
 _NO_KEYS = ("", "")
 
 
@@ -62,7 +61,7 @@ class NotesPanel(Panel):
         if self._page.notes is None or not state.selects or not shown.judged:
             return _NO_KEYS
         try:
-            errors = self._page.report(state, _PATIENCE_S).errors
+            errors = self._page.report(state).errors
         except SettingsError:
             return _NO_KEYS
         row, drive = shown_error(errors, state), shown.model.title(state.drive)

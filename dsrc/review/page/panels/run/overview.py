@@ -2,8 +2,8 @@
 
 from html import escape
 
+from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.page.protocol import Shown
 from dsrc.review.texts import html_table
 
 
