@@ -2,8 +2,9 @@
 
 import contextlib
 import threading
+import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -56,6 +57,27 @@ class LatestUsed(Generic[T]):
             while len(self._values) > self._kept:
                 self._values.popitem(last=False)
         return made
+
+
+class Pieces(Generic[T]):
+    """What is made piece by piece under a key, and anew under another; one thread at a time."""
+
+    def __init__(self) -> None:
+        self._key: object = self
+        self._made: list[T] = []
+        self._more: Iterator[T] = iter(())
+
+    def of(self, key: object, make: Callable[[], Iterator[T]], patience_s: float) -> tuple[list[T], bool]:
+        """Return the pieces that are made within some seconds, and whether these are all."""
+        if key != self._key:
+            self._key, self._made, self._more = key, [], make()
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            try:
+                self._made.append(next(self._more))
+            except StopIteration:
+                return list(self._made), True
+        return list(self._made), False
 
 
 class FrameStore:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from html import escape
 
 from dsrc.options.review import ColorBy
@@ -10,7 +11,7 @@ from dsrc.review import palette
 from dsrc.review.palette import Rgb
 from dsrc.review.points import HEIGHT_M, RANGE_M, RETURNS
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
-from dsrc.review.view import OTHER_TRUTH, AgentShare, AgentView, DetectionDetails, FrameView, ObjectDetails
+from dsrc.review.view import OTHER_TRUTH, AgentShare, DetectionDetails, FrameView, ObjectDetails
 from sensors.frame import BY_EGO, BY_HELPER, BY_NOBODY
 from sensors.sweep import MOVED, SCATTERED
 
@@ -52,13 +53,12 @@ def frame_report(view: FrameView) -> str:
     if view.counts is None:
         evaluated = len(view.truth) - len(view.layers[OTHER_TRUTH])
         return f"{head}\n\n{evaluated} vehicles in sight of an agent, {len(view.truth)} road users in all. No detector."
-    rows = [("this frame", view.counts), (f"{view.seen_frames} seen", view.seen)]
+    rows = [("this frame", view.counts)]
+    rows += [(f"{view.seen_frames} seen", view.seen)] if view.seen_frames > 1 else []
     table = "\n".join(
         f"| {name} | {c.tp} | {c.fp} | {c.fn} | {_share(c.precision)} | {_share(c.recall)} |" for name, c in rows
     )
-    # The window is narrow: without a space of their own, heads of columns touch.
-    heads = "".join(f" \N{EN SPACE}{name} |" for name in ("true", "false", "missed", "prec.", "recall"))
-    columns = f"| |{heads}\n|:--|--:|--:|--:|--:|--:|"
+    columns = "| | true | false | missed | prec. | recall |\n|:--|--:|--:|--:|--:|--:|"
     return f"{head}\n\n{columns}\n{table}"
 
 
@@ -148,42 +148,6 @@ def _size(size: tuple[float, float, float]) -> str:
     return " × ".join(f"{side:.1f}" for side in size) + " m"
 
 
-def box_legend(view: FrameView) -> list[tuple[Rgb, str, str]]:
-    """Colours of the boxes, what they mean, and the names of their counts in an exported page, "" without one."""
-    ink = palette.LOOKS[view.state.theme].ink
-    other = [(palette.OTHER, "object, not evaluated", "other")] if len(view.layers[OTHER_TRUTH]) else []
-    if view.help is not None:
-        return [
-            (ink, "object, coloured by who helped most", "found"),
-            (ink, "false box, crossed, by who made it", "made"),
-            (palette.FP, "red cross: an agent lowers the score", "harmed"),
-            (palette.FN, "missed by all, dashed", "missed"),
-            *other,
-        ]
-    if not view.labelled:
-        return [(ink, "detection, not judged", "detected")]
-    if view.counts is None:
-        return [(ink, "object in sight of an agent", "objects"), *other]
-    judged = view.state.color_by == "verdict"
-    return [
-        (palette.TP if judged else ink, "true box", "true"),
-        (palette.FP if judged else ink, "false box, crossed", "false"),
-        (palette.FN if judged else ink, "missed object, dashed", "missed"),
-        *other,
-    ]
-
-
-def agent_rgb(agent: AgentView, view: FrameView) -> Rgb | None:
-    """Colour that an agent has in a frame; None where colour tells something else: the ego's body alone keeps it."""
-    return agent.rgb if agent.is_ego or view.state.color_by == "agent" else None
-
-
-def fate_legend(view: FrameView) -> list[tuple[Rgb, str]]:
-    """Colours of the points by what a corruption did to them, and what they mean; none by other colours."""
-    fates = [(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items()]
-    return [*fates, (palette.LOST, palette.LOST_NAME)] if view.state.color_by == "fate" else []
-
-
 def ruler_report(view: FrameView) -> str:
     """What the ruler measures: distance, heading from the ego's and time at its speed; "" without one."""
     if len(view.state.ruler) != _ENDS:
@@ -202,32 +166,105 @@ _STANDS = 0.1
 """Speed up to which the ego stands, m/s."""
 
 
-def legend(view: FrameView) -> str:
-    """HTML of the legend."""
-    rows: list[tuple[Rgb | None, str, bool]] = [(agent_rgb(agent, view), _title(agent), False) for agent in view.agents]
-    rows += [(*row, False) for row in fate_legend(view)]
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """Row of the legend.
+
+    Attributes:
+        rgb: colour; None for none.
+        text: what it means.
+        count: how many there are, "" where that is not said.
+        name: of the count, by which it is found on a page.
+        boxes: whether it is of boxes, drawn by their edges.
+    """
+
+    rgb: Rgb | None
+    text: str
+    count: str = ""
+    name: str = ""
+    boxes: bool = False
+
+
+def _rows(view: FrameView) -> list[_Row]:
+    rows = []
+    for agent in view.agents:
+        lost = f", {thousands(agent.lost)} lost" if agent.lost else ""
+        # Where colour tells something else the ego's body alone keeps its own.
+        rgb = agent.rgb if agent.is_ego or view.state.color_by == "agent" else None
+        rows.append(_Row(rgb, agent.title, f"{thousands(agent.total)} points{lost}"))
+    if view.state.color_by == "fate":
+        rows += [_Row(rgb, palette.FATE_NAMES[fate]) for fate, rgb in palette.FATE_COLORS.items()]
+        rows.append(_Row(palette.LOST, palette.LOST_NAME))
     for number, method in enumerate(view.compared, start=1):
-        rows.append((palette.method_color(number), f"{method.name}: found, false crossed, missed dashed", True))
-    if (moment := view.moment) is not None:
-        shown: list[tuple[str, bool, tuple[Rgb, str, bool]]] = [
-            ("tracks", True, (palette.method_color(1), "track, its way in a second; thick: it decides", True)),
-            ("plan", True, (view.ego.rgb, "plan of three seconds", False)),
-            ("links", bool(moment.links.received.any()), (view.ego.rgb, "message received", False)),
-            ("links", not moment.links.received.all(), (palette.FP, "message lost, dashed", False)),
-            ("claims", len(moment.claims) > 0, (palette.FATE_COLORS[SCATTERED], "claimed by a liar, crossed", True)),
-            (
-                "seen",
-                moment.unseen is not None,
-                (palette.UNSEEN[:3], "shaded: unseen in every sweep that arrived", False),
-            ),
+        text = f"{method.name}: found, false crossed, missed dashed"
+        rows.append(_Row(palette.method_color(number), text, boxes=True))
+    return rows + _moment_rows(view) + _box_rows(view)
+
+
+def _moment_rows(view: FrameView) -> list[_Row]:
+    if (moment := view.moment) is None:
+        return []
+    ego, made, received = view.ego.rgb, palette.FATE_COLORS[SCATTERED], moment.links.received
+    shown = [
+        ("tracks", True, _Row(palette.method_color(1), "track, its way in a second; thick: it decides", boxes=True)),
+        ("plan", True, _Row(ego, "plan of three seconds")),
+        ("links", bool(received.any()), _Row(ego, "message received")),
+        ("links", not received.all(), _Row(palette.FP, "message lost, dashed")),
+        ("claims", len(moment.claims) > 0, _Row(made, "claimed by a liar, crossed", boxes=True)),
+        ("seen", moment.unseen is not None, _Row(palette.UNSEEN[:3], "shaded: unseen in every sweep that arrived")),
+    ]
+    return [row for layer, there, row in shown if there and layer not in view.state.layers_off]
+
+
+def _box_rows(view: FrameView) -> list[_Row]:
+    ink, others = palette.LOOKS[view.state.theme].ink, len(view.layers[OTHER_TRUTH])
+    judged = view.state.color_by == "verdict"
+    if view.help is not None:
+        found, made = (sum(map(len, boxes)) for boxes in (view.help.found, view.help.made))
+        counted = [
+            (ink, "object, coloured by who helped most", found, "found"),
+            (ink, "false box, crossed, by who made it", made, "made"),
+            (palette.FP, "red cross: an agent lowers the score", len(view.help.harmed), "harmed"),
+            (palette.FN, "missed by all, dashed", len(view.help.missed), "missed"),
         ]
-        rows += [row for layer, there, row in shown if there and layer not in view.state.layers_off]
-    rows += [(rgb, text, True) for rgb, text, _ in box_legend(view)]
-    lines = "".join(_legend_row(*row) for row in rows)
+    elif not view.labelled:
+        counted = [(ink, "detection, not judged", view.detected, "detected")]
+    elif view.counts is None:
+        counted = [(ink, "object in sight of an agent", len(view.truth) - others, "objects")]
+    else:
+        counted = [
+            (palette.TP if judged else ink, "true box", view.counts.tp, "true"),
+            (palette.FP if judged else ink, "false box, crossed", view.counts.fp, "false"),
+            (palette.FN if judged else ink, "missed object, dashed", view.counts.fn, "missed"),
+        ]
+    counted += [(palette.OTHER, "object, not evaluated", others, "other")] if others else []
+    return [_Row(rgb, text, str(count), name, boxes=True) for rgb, text, count, name in counted]
+
+
+def summary(view: FrameView) -> str:
+    """HTML of a frame in numbers: its counts, why detections are missing, and the legend with how many there are."""
+    said = html_of("\n\n".join(part for part in (frame_report(view), notice_text(view)) if part))
+    lines = ""
+    for row in _rows(view):
+        color = "transparent" if row.rgb is None else palette.css(row.rgb)
+        form = ("dashed" if row.text.endswith("dashed") else "solid") if row.boxes else ""
+        fill = f"border:2px {form} {color};border-radius:2px" if row.boxes else f"background:{color};border-radius:50%"
+        edge = ";box-shadow:none" if row.rgb is None else ""
+        count = f'<b data-count="{row.name}">{row.count}</b>' if row.count else ""
+        lines += f'<li><i style="{fill}{edge}"></i><span>{escape(row.text)}</span>{count}</li>'
     bar = scale_bar(view.state.color_by)
-    # Below the counts; of a long one the rest is scrolled to.
-    style = "padding:.2em 1em .4em;font-size:.82em;line-height:1.6;max-height:45vh;overflow:auto"
-    return f'<div style="{style}">{bar}{lines}</div>'
+    return f'<div class="review"><style>{_STYLE}</style>{said}<ul>{bar}{lines}</ul></div>'
+
+
+# Below the counts; of a long legend the rest is scrolled to. A line around a mark shows white on a white panel.
+_STYLE = (
+    ".review p{margin:.2em 1em;font-size:.82em}"
+    ".review table{margin:0 13px!important}"
+    ".review ul{margin:0;padding:.2em 1em .4em;font-size:.82em;line-height:1.6;max-height:45vh;overflow:auto}"
+    ".review li{display:flex;gap:.6em;align-items:baseline}"
+    ".review i{flex:none;width:.7em;height:.7em;box-sizing:border-box;box-shadow:0 0 0 1px rgba(112,122,140,.6)}"
+    ".review li b{margin-left:auto;font-weight:normal;text-align:right;font-variant-numeric:tabular-nums}"
+)
 
 
 def fates_table(view: FrameView) -> str:
@@ -288,20 +325,6 @@ def scale_bar(color_by: ColorBy) -> str:
     )
 
 
-def _title(agent: AgentView) -> str:
-    lost = f", {thousands(agent.lost)} lost" if agent.lost else ""
-    return f"{agent.title} · {thousands(agent.total)} points{lost}"
-
-
 def thousands(count: int) -> str:
     """Number in groups of three digits, which stay in one line."""
     return f"{count:,}".replace(",", "\u202f")
-
-
-def _legend_row(rgb: Rgb | None, text: str, outlined: bool) -> str:
-    color = "transparent" if rgb is None else palette.css(rgb)
-    fill = f"border:2px solid {color};border-radius:2px" if outlined else f"background:{color};border-radius:50%"
-    # A line around it shows white on a white panel.
-    edge = "" if rgb is None else "box-shadow:0 0 0 1px rgba(112,122,140,.6)"
-    mark = f'<span style="flex:none;width:.7em;height:.7em;box-sizing:border-box;{fill};{edge}"></span>'
-    return f'<div style="display:flex;gap:.6em;align-items:baseline">{mark}<span>{escape(text)}</span></div>'

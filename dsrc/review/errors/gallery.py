@@ -1,6 +1,5 @@
 """Gallery: errors as small bird's-eye pictures, grouped by their cause."""
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +12,7 @@ from dsrc.review import palette
 from dsrc.review.errors.filters import FP, POOR
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.judgements import Judgements
-from dsrc.review.errors.report import RunReport, selection_of
+from dsrc.review.errors.report import selection_of
 from dsrc.review.state import ReviewState
 from sensors.frame import Frame
 from sim.boxes import Boxes
@@ -40,29 +39,8 @@ class Picture:
     opens: ReviewState
 
 
-class Gallery:
-    """Pictures of the worst errors of a report, made one by one; one thread at a time."""
-
-    def __init__(self, model: Judgements) -> None:
-        self._model = model
-        self._key: object = None
-        self._next: Iterator[Picture] = iter(())
-        self._made: list[Picture] = []
-
-    def of(self, state: ReviewState, report: RunReport, patience_s: float = 0.3) -> tuple[list[Picture], bool]:
-        """Return the pictures that are made within some seconds, and whether these are all."""
-        if self._key is not report:
-            self._key, self._made, self._next = report, [], _pictures(self._model, state, report.errors)
-        end = time.monotonic() + patience_s
-        while time.monotonic() < end:
-            made = next(self._next, None)
-            if made is None:
-                return self._made, True
-            self._made.append(made)
-        return self._made, False
-
-
-def _pictures(model: Judgements, state: ReviewState, errors: ErrorTable) -> Iterator[Picture]:
+def pictures_of(model: Judgements, state: ReviewState, errors: ErrorTable) -> Iterator[Picture]:
+    """Make pictures of the worst errors that a state lists, one by one."""
     for row in [row for row in range(len(errors)) if errors.kind[row] != POOR][:MOST]:
         at = replace(state, methods=(errors.methods[errors.method[row]],), **selection_of(errors, row))
         key = (at.drive, at.frame, at.object_id, at.detection, at.methods, model.setup(at), at.threshold, at.iou)

@@ -5,6 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from dsrc.review.errors.filters import FN, FP, KINDS
 from dsrc.review.errors.index import ErrorIndex
 from dsrc.review.errors.judgements import Judgements
 from dsrc.review.errors.report import selection_of
+from dsrc.review.frames import Pieces
 from dsrc.review.state import ReviewState
 from sensors.corruptions import CLEAN, Condition
 from sim.errors import UserError
@@ -67,9 +69,7 @@ class Overviews:
         self._model = model
         self._key: tuple[object, ...] = ()
         self._found, self._judged_at = Overview(()), 0.0
-        self._cells: Iterator[_Judged | str] = iter(())
-        self._done: list[_Judged] = []
-        self._wrong: list[str] = []
+        self._cells = Pieces[_Judged | str]()
 
     def of(self, state: ReviewState, patience_s: float = 0.2) -> Overview:
         """Return the overview under a state's threshold and IoU, as far as it is computed within some seconds."""
@@ -84,20 +84,13 @@ class Overviews:
             return Overview((f"{run}. No labels: detections are shown, and nothing is judged.",))
         known = sum(len(own.rows(model.setup(state))) for source in model.sources for own in source.sets.values())
         key = (state.threshold, state.iou, state.ego_id, state.cooperative, model.setup(state), known)
-        grown = key != self._key
-        if grown and key[:-1] == self._key[:-1] and time.monotonic() < self._judged_at + _PATIENCE_S:
-            return replace(self._found, whole=False)
-        if grown:
-            self._judged_at = time.monotonic()
-            self._key, self._done, self._wrong, self._cells = key, [], [], _judged(model, state)
-        end, whole = time.monotonic() + patience_s, False
-        while not whole and time.monotonic() < end:
-            cell = next(self._cells, None)
-            whole = cell is None
-            self._done += [cell] if isinstance(cell, _Judged) else []
-            self._wrong += [cell] if isinstance(cell, str) else []
-        table = _table(self._done, state, frames, run, whole)
-        self._found = replace(table, says=(*table.says, *self._wrong))
+        if key != self._key:
+            if key[:-1] == self._key[:-1] and time.monotonic() < self._judged_at + _PATIENCE_S:
+                return replace(self._found, whole=False)
+            self._key, self._judged_at = key, time.monotonic()
+        cells, whole = self._cells.of(key, partial(_judged, model, state), patience_s)
+        table = _table([one for one in cells if isinstance(one, _Judged)], state, frames, run, whole)
+        self._found = replace(table, says=(*table.says, *(one for one in cells if isinstance(one, str))))
         return self._found
 
 

@@ -12,10 +12,11 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from dsrc.review.errors.gallery import Gallery, Picture
+from dsrc.review.errors.gallery import Picture, pictures_of
 from dsrc.review.errors.index import ErrorTable
 from dsrc.review.errors.overview import Overview, Overviews
 from dsrc.review.errors.report import Reports, RunReport, place_of, selection_of, to_detect
+from dsrc.review.frames import Pieces
 from dsrc.review.model import ReviewModel
 from dsrc.review.over_time.strips import over_time
 from dsrc.review.page.cameras import BrowserCamera, CameraPose
@@ -59,6 +60,10 @@ class Shown:
     def judged(self) -> bool:
         """Whether the drive has detections and labels."""
         return bool(self.source.sets) and self.source.labelled
+
+
+GALLERY_S = 0.3
+"""Time for which pictures of errors are made at once, s."""
 
 
 class Page:
@@ -112,7 +117,7 @@ class Page:
         self.cells: list[Page] = []
         self.place = 0
         self.help: Any = None
-        self._reports, self._overviews, self._gallery = Reports(model), Overviews(model), Gallery(model)
+        self._reports, self._overviews, self._pictures = Reports(model), Overviews(model), Pieces[Picture]()
         self._explaining = Latest(0.0)
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
@@ -189,9 +194,9 @@ class Page:
         """Pictures of the worst listed errors, as far as they are made."""
         report = self.report(state)
         with self.using_model:
-            made, whole = self._gallery.of(state, report)
+            made, whole = self._pictures.of(report, partial(pictures_of, self.model, state, report.errors), GALLERY_S)
         self._busy |= not whole
-        return list(made)
+        return made
 
     def why_crashed(self, source: Source) -> str:
         """Cause of the crash of an episode, looked for in the background; "" without a crash."""

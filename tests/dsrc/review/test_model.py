@@ -6,7 +6,7 @@ import pytest
 
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.state import ReviewState
-from dsrc.review.texts import legend, quoted, selection_report
+from dsrc.review.texts import quoted, selection_report, summary
 from dsrc.review.view import (
     DETECTED_TRUTH,
     FALSE_NEGATIVES,
@@ -87,10 +87,10 @@ def test_lost_points_are_counted_beside_those_that_are_left(
 ) -> None:
     clean = truth_model.view(ReviewState())
     foggy = truth_model.view(ReviewState(corruption="fog"))
-    assert " lost" not in legend(clean)
+    assert " lost" not in summary(clean)
     for before, after in zip(clean.agents, foggy.agents, strict=True):
         assert before.lost == 0 and after.lost == before.total // 2
-        assert f"points, {after.lost} lost" in legend(foggy)
+        assert f"points, {after.lost} lost" in summary(foggy)
 
 
 def test_both_families_are_kept_apart_in_the_caches(

@@ -12,9 +12,6 @@ from html import escape
 
 from dsrc.review.page.browser import HONEST_COLORS, NOTICE
 from dsrc.review.page.cameras import CameraPose
-from dsrc.review.palette import Rgb, css
-from dsrc.review.texts import agent_rgb, box_legend, fate_legend, scale_bar
-from dsrc.review.view import OTHER_TRUTH, FrameView
 
 SHOWN = "/shown"
 """Node of the scene whose x, m, is the number of the drawn frame, from 1: a player that goes back sets it to 0."""
@@ -33,18 +30,15 @@ _CSS = """
 #review{left:16px;max-width:min(330px,80vw)}
 #review-side{right:16px;width:330px;max-width:46%;max-height:calc(100% - 110px);overflow:auto}
 #review-side p{margin:0 0 .5em;font-size:13px}
-#review-side table{margin:0!important;font-size:12px!important}
+#review table,#review-side table{margin:0!important;font-size:12px!important}
 #review-side svg{cursor:default!important;margin-top:6px}
 #review-side summary{cursor:pointer;margin-top:8px}
 #review h1{margin:0 0 1px;font-size:15px;font-weight:650;color:#fff;letter-spacing:.01em}
 #review p{margin:0;color:#93a1b5;font-size:12px}
-#review ul{list-style:none;margin:9px 0 0;padding:8px 0 0;border-top:1px solid rgba(148,163,184,.18)}
-#review li{display:flex;align-items:center;gap:9px;padding:1.5px 0}
-#review i{flex:none;width:10px;height:10px;border-radius:50%;box-shadow:0 0 0 1px rgba(148,163,184,.6)}
-#review i.box{width:11px;height:11px;border-radius:2px;background:none;border:2px solid;box-sizing:border-box}
-#review i.dash{border-style:dashed}
-#review b{margin-left:auto;padding-left:16px;font-weight:600;color:#fff;font-variant-numeric:tabular-nums}
-#review small{margin-left:auto;padding-left:16px;color:#7c8aa0;font-size:12px;font-variant-numeric:tabular-nums}
+#review .review p{margin:0}
+#review .review ul{margin-top:8px;padding:8px 0 0;max-height:none;font-size:13px;
+ border-top:1px solid rgba(148,163,184,.18)}
+#review .review b{color:#fff}
 #review nav{display:flex;gap:6px;margin-top:10px}
 #review button{flex:1;padding:4px 0;font:inherit;font-size:12px;color:#cbd5e1;cursor:pointer;border-radius:6px;
  background:rgba(148,163,184,.12);border:1px solid rgba(148,163,184,.22)}
@@ -93,62 +87,25 @@ class CameraButton:
     pose: CameraPose
 
 
-def frame_texts(view: FrameView, subtitle: str) -> dict[str, str]:
-    """Texts of the legend that change with the frame, by id."""
-    texts = {"subtitle": subtitle, "time": f"frame {view.index} · {view.time_s:.1f} s"}
-    texts |= {f"points-{one.agent_id}": f"{one.total // 1000}k points" for one in view.agents if one.total >= 1000}
-    other = len(view.layers[OTHER_TRUTH])
-    if view.help is not None:
-        found, made = (sum(map(len, boxes)) for boxes in (view.help.found, view.help.made))
-        counted = {"found": found, "made": made, "harmed": len(view.help.harmed), "missed": len(view.help.missed)}
-        return texts | {name: str(count) for name, count in counted.items()} | {"other": str(other)}
-    if not view.labelled:
-        return {**texts, "detected": str(view.detected)}
-    if view.counts is None:
-        return {**texts, "objects": str(len(view.truth) - other), "other": str(other)}
-    counts = view.counts
-    share = [("precision", counts.precision), ("recall", counts.recall)]
-    texts |= {"true": str(counts.tp), "false": str(counts.fp), "missed": str(counts.fn), "other": str(other)}
-    return texts | {name: "–" if value is None else f"{value:.2f}" for name, value in share}
-
-
-def overlay(texts: list[dict[str, str]], views: list[FrameView], cameras: list[CameraButton], gallery: str = "") -> str:
+def overlay(texts: list[dict[str, str]], title: str, cameras: list[CameraButton], gallery: str = "") -> str:
     """HTML of the overlay with the texts of the first frame.
 
     Args:
-        texts: `frame_texts` of every frame; `card` and `plots` are of the panel on the right.
-        views: all frames: a row for every agent and every kind of box of any of them.
+        texts: HTML of every frame by its place: `subtitle` and `summary` on the left, `card` and `plots` on the right.
         gallery: HTML of the pictures of the errors, "" for none.
     """
-    first, rows = views[0], {agent.agent_id: agent for view in views for agent in view.agents}
-    said = dict.fromkeys((name for one in texts for name in one), "") | texts[0]
 
     def own(name: str, element: str) -> str:
-        return f'<{element} id="review-{name}">{said.get(name, "")}</{element}>'
+        return f'<{element} id="review-{name}">{texts[0].get(name, "")}</{element}>'
 
-    agents = "".join(
-        _row(agent_rgb(agent, first), "", escape(agent.title), own(f"points-{agent.agent_id}", "small"))
-        for agent in rows.values()
-    )  # fmt: skip
-    if bar := scale_bar(first.state.color_by):
-        agents += f'<li style="display:block;margin-top:6px">{bar}</li>'
-    if fates := fate_legend(first):
-        agents += "</ul><ul>" + "".join(_row(rgb, "", text, "") for rgb, text in fates)
-    boxes = "".join(
-        _row(rgb, "box dash" if text.endswith("dashed") else "box", text, own(name, "b"))
-        for rgb, text, name in dict.fromkeys(row for view in views for row in box_legend(view))
-        if name
-    )
-    boxes += "".join(f"<li>{name}{own(name, 'b')}</li>" for name in ("precision", "recall") if name in said)
     buttons = "".join(
         f'<button data-camera="{c.name}" data-key="{c.key}" title="key {c.key}">{c.name}</button>' for c in cameras
     )
     side = "".join(own(name, "div") for name in ("card", "plots") if any(one.get(name) for one in texts))
     side += f"<details><summary>Errors by cause</summary>{gallery}</details>" if gallery else ""
     return (
-        f'<style>{_CSS}</style><div id="review"><h1>{escape(first.drive)}</h1>{own("subtitle", "p")}'
-        f"{own('time', 'p')}<ul>{agents}</ul><ul>{boxes}</ul>{f'<nav>{buttons}</nav>' if buttons else ''}</div>"
-        + (f'<div id="review-side">{side}</div>' if side else "")
+        f'<style>{_CSS}</style><div id="review"><h1>{escape(title)}</h1>{own("subtitle", "p")}{own("summary", "div")}'
+        f"{f'<nav>{buttons}</nav>' if buttons else ''}</div>" + (f'<div id="review-side">{side}</div>' if side else "")
     )
 
 
@@ -188,8 +145,3 @@ def page_html(page: str, body: str, title: str) -> str:
     """HTML of a player's page with an overlay."""
     head, end = page.index("</head>"), page.rindex("</body>")
     return f"{page[:head]}<title>{escape(title)}</title>{page[head:end]}{body}{page[end:]}"
-
-
-def _row(rgb: Rgb | None, kind: str, label: str, end: str) -> str:
-    style = "visibility:hidden" if rgb is None else f"{'border-color' if kind else 'background'}:{css(rgb)}"
-    return f'<li><i class="{kind}" style="{style}"></i>{label}{end}</li>'

@@ -11,7 +11,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.review.errors.gallery import Gallery, Picture, gallery_html
+from dsrc.review.errors.gallery import Picture, gallery_html, pictures_of
 from dsrc.review.errors.report import run_report
 from dsrc.review.model import ReviewModel
 from dsrc.review.over_time.strips import over_time
@@ -21,7 +21,6 @@ from dsrc.review.page.offline.overlay import (
     SHOWN,
     CameraButton,
     cells_html,
-    frame_texts,
     overlay,
     overlay_script,
     page_html,
@@ -30,7 +29,7 @@ from dsrc.review.page.scene import SceneWriter, backdrop, place_frame, set_light
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState, Theme
 from dsrc.review.static import StaticPart
-from dsrc.review.texts import html_of, moment_report, quoted, selection_report
+from dsrc.review.texts import html_of, moment_report, quoted, selection_report, summary
 from dsrc.review.view import FrameView
 from sim.errors import SettingsError, UserError, complaint
 from sim.geometry import pose_matrix
@@ -103,7 +102,7 @@ def views_html(
 def picture_parts(model: ReviewModel, state: ReviewState, view: FrameView, image: NDArray[np.uint8]) -> tuple[str, str]:
     """Data URL of a picture of the scene, and HTML of its legend and card; the script of a page makes one of both."""
     url = f"data:image/png;base64,{base64.b64encode(png_of(image)).decode()}"
-    return url, overlay([_texts(model, state, view, shared=True)], [view], [])
+    return url, overlay([_texts(model, state, view, shared=True)], view.drive, [])
 
 
 def over_sky(image: NDArray[np.uint8], theme: Theme) -> NDArray[np.uint8]:
@@ -183,7 +182,7 @@ def record(
         poses = [("overview", "1", overview), ("chase", "2", cameras.chase), ("bird's eye", "3", cameras.birds_eye)]
         buttons = [CameraButton(name, key, make(first).moved(scene[0])) for name, key, make in poses]
         pictures = _gallery(model, states[0], using_model) if shared else ""
-        return html, overlay(texts, views, buttons, pictures) + overlay_script(texts, buttons, stop=shared)
+        return html, overlay(texts, first.drive, buttons, pictures) + overlay_script(texts, buttons, stop=shared)
     finally:
         stop_server(server)
 
@@ -193,11 +192,12 @@ def _gallery(model: ReviewModel, state: ReviewState, using_model: AbstractContex
     if not model.method(state) or not model.sources[state.drive].labelled:
         return ""
     with using_model:
-        report, gallery = run_report(model, state), Gallery(model)
-    whole, made = False, list[Picture]()
-    while not whole:
+        more, made = pictures_of(model, state, run_report(model, state).errors), list[Picture]()
+    while True:
         with using_model:
-            made, whole = gallery.of(state, report)
+            if (one := next(more, None)) is None:
+                break
+        made.append(one)
     return gallery_html(made, [""] * len(made)) if made else ""
 
 
@@ -210,7 +210,7 @@ def _explain(model: ReviewModel, drive: int) -> None:
 
 def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool) -> dict[str, str]:
     """Texts of a frame; of a shared one card and plots, too."""
-    texts = frame_texts(view, _subtitle(model, state))
+    texts = {"subtitle": _subtitle(model, state), "summary": summary(view)}
     if not shared:
         return texts
     source = model.sources[state.drive]

@@ -1,13 +1,15 @@
 """Pictures of errors by cause, and the cause on the card."""
 
 from dataclasses import replace
+from functools import partial
 from xml.etree import ElementTree
 
 import pytest
 
 from dsrc.review import palette
-from dsrc.review.errors.gallery import Gallery, gallery_html
+from dsrc.review.errors.gallery import Picture, gallery_html, pictures_of
 from dsrc.review.errors.report import run_report
+from dsrc.review.frames import Pieces
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.link import read_link, write_link
 from dsrc.review.state import ReviewState
@@ -41,8 +43,8 @@ def test_the_card_of_an_error_says_why(detected: ReviewModel) -> None:
 
 def test_errors_are_drawn_by_cause_and_open_as_they_are_drawn(detected: ReviewModel) -> None:
     state = ReviewState(gallery=True)
-    pictures, whole = Gallery(detected).of(state, run_report(detected, state), 60.0)
-    assert whole and [one.kind for one in pictures].count("missed: no box") == 3
+    pictures = list(pictures_of(detected, state, run_report(detected, state).errors))
+    assert [one.kind for one in pictures].count("missed: no box") == 3
     assert [one.kind for one in pictures].count("false: of nothing") == 3
     links = [f"?{write_link(detected, one.opens, None)}" for one in pictures]
     for one, link in zip(pictures, links, strict=True):
@@ -73,6 +75,16 @@ def test_a_frame_that_cannot_be_read_is_named_among_the_others(
         return recorded(row)
 
     monkeypatch.setattr(detected.stores[0], "recorded", damaged)
-    pictures, _ = Gallery(detected).of(state, report, 60.0)
+    pictures = list(pictures_of(detected, state, report.errors))
     wrong = [one for one in pictures if one.kind == "not read"]
     assert len(wrong) == 2 and len(pictures) == 6 and "a damaged one" in wrong[0].sentence
+
+
+def test_pictures_come_piece_by_piece_and_are_begun_anew_for_other_errors(detected: ReviewModel) -> None:
+    state, pieces = ReviewState(), Pieces[Picture]()
+    report = run_report(detected, state)
+    make = partial(pictures_of, detected, state, report.errors)
+    assert pieces.of(report, make, 0.0) == ([], False)
+    found, whole = pieces.of(report, make, 60.0)
+    assert whole and len(found) == 6 and pieces.of(report, make, 60.0) == (found, True)
+    assert pieces.of(run_report(detected, state), make, 0.0) == ([], False)

@@ -1,5 +1,6 @@
 """Parts of a page's session, by name and by kind, and waiting for what it does."""
 
+import re
 import time
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -18,6 +19,11 @@ def wait_for(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
 
 def panel(session: Session, kind: type[P]) -> P:
     return next(panel for panel in session.panels if isinstance(panel, kind))
+
+
+def counted(html: str) -> dict[str, int]:
+    """What a frame's legend counts, by name."""
+    return {name: int(count) for name, count in re.findall(r'data-count="(\w+)">(\d+)<', html)}
 
 
 def node(session: Session, name: str) -> Any:

@@ -87,11 +87,11 @@ def test_a_shared_page_opens_offline_with_the_numbers_of_the_live_one(opened: Op
         assert page.evaluate(WORDS.replace("__WHERE__", "#review-plots")) == plots
         assert page.evaluate(SENTENCES.replace("__WHERE__", "#review-side")) == sentences
         text = {
-            name: page.evaluate(f"document.getElementById('review-{name}').innerText")
+            name: page.evaluate(f"document.querySelector('[data-count={name}]').innerText")
             for name in ("true", "false", "missed")
         }
         assert text == {"true": str(counts.tp), "false": str(counts.fp), "missed": str(counts.fn)}
-        assert page.evaluate("document.getElementById('review-time').innerText").startswith("frame 2 ·")
+        assert page.evaluate("document.getElementById('review-summary').innerText").startswith("Frame 2 ·")
         place = "JSON.parse(window.__viserMutable.cameraControl.toJSON()).position"
         assert np.hypot(*np.subtract(page.evaluate(place), live.evaluate(place))[[0, 2]]) < 0.1
 
@@ -123,7 +123,7 @@ def test_a_picture_holds_the_whole_of_a_long_card(opened: Opened) -> None:
     session = opened.session
     scene, _ = picture_parts(session.model, session.state, session.view, np.zeros((400, 600, 3), np.uint8))
     card = "".join(f"<p>line {number}</p>" for number in range(40)) + '<p style="color:#0f0">████</p>'
-    body = overlay([{"card": card}], [session.view], [])
+    body = overlay([{"card": card}], session.view.drive, [])
     url = opened.page.evaluate(f"reviewPicture({json.dumps(scene)},{json.dumps(body)})")
     image = np.asarray(Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))).convert("RGB"))
     assert np.count_nonzero((image == (0, 255, 0)).all(axis=-1)) > 50, "its last line"
@@ -163,7 +163,7 @@ def test_cells_are_shared_in_one_page_with_one_camera(model: ReviewModel, tmp_pa
             page.wait_for(
                 f"{own}?.__viserMutable?.cameraControl&&{own}.document.querySelector('[role=slider]')", PATIENCE_S
             )
-            assert page.evaluate(f"{own}.document.getElementById('review-missed').innerText") == str(fn)
+            assert page.evaluate(f"{own}.document.querySelector('[data-count=missed]').innerText") == str(fn)
         page.evaluate(f"{cell.replace('__N__', '3')}.__viserMutable.cameraControl.setPosition(5,6,7)")
         page.evaluate("document.getElementById('cell3').dispatchEvent(new Event('pointerenter'))")
         place = "JSON.parse(__CELL__.__viserMutable.cameraControl.toJSON()).position.map(Math.round).join()"

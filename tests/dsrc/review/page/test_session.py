@@ -1,5 +1,6 @@
 """A session: what one browser shows, and that no other moves it."""
 
+import re
 import threading
 import time
 from typing import Any
@@ -27,7 +28,7 @@ from sim.errors import DataError
 from sim.geometry import pose_angles
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.page.conftest import SocketBrowser
-from tests.dsrc.review.page.session import node, panel, wait_for
+from tests.dsrc.review.page.session import counted, node, panel, wait_for
 
 
 def handle(session: Session, field: str, label: str | None = None) -> Any:
@@ -106,7 +107,10 @@ def test_another_ego_is_selected_by_name(session: Session, detector: FakeDetecto
 
 def test_the_report_counts_what_is_drawn(session: Session) -> None:
     counts = session.view.counts
-    assert f"| this frame | {counts.tp} | {counts.fp} | {counts.fn} |" in panel(session, LegendPanel).text.content
+    content = panel(session, LegendPanel).text.content
+    assert counted(content) == {"true": counts.tp, "false": counts.fp, "missed": counts.fn, "other": 1}
+    row = re.search(r"this frame((?:</td><td[^>]*>\d+){3})", content)
+    assert re.findall(r">(\d+)", row[1]) == [str(counts.tp), str(counts.fp), str(counts.fn)]
 
 
 def open_controls(session: Session) -> list[str]:

@@ -18,7 +18,7 @@ from dsrc.review.sources.base import Setup
 from dsrc.review.sources.opening import open_sources
 from dsrc.review.sources.results import SharedSource
 from dsrc.review.state import ReviewState
-from dsrc.review.texts import legend, selection_report
+from dsrc.review.texts import selection_report, summary
 from dsrc.review.view import FALSE_NEGATIVES, OTHER_TRUTH, TRUE_POSITIVES
 from sensors.corruptions import Condition
 from sim.boxes import Boxes
@@ -50,7 +50,7 @@ def test_boxes_are_of_the_agent_to_whom_most_of_their_score_is_due(model: Review
         place = truth.center[[1, 3, 4][row]] - model.origin(0)
         np.testing.assert_allclose(boxes.center[0], place, atol=1e-3)
     assert ids_of(view.layers[OTHER_TRUTH]) == [1000, 1002]
-    assert not len(view.layers[TRUE_POSITIVES]) and "coloured by who helped most" in legend(view)
+    assert not len(view.layers[TRUE_POSITIVES]) and "coloured by who helped most" in summary(view)
     judged = model.view(ReviewState(boxes_by="verdict"))
     assert judged.help is None and len(judged.layers[TRUE_POSITIVES]) and len(judged.layers[FALSE_NEGATIVES])
 

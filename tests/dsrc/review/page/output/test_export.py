@@ -25,6 +25,7 @@ from sensors.frame import Frame
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
+from tests.dsrc.review.page.session import counted
 from tests.dsrc.review.shared import shared_street
 
 
@@ -65,8 +66,8 @@ def test_the_legend_holds_the_counts_of_every_frame(page: Path, model: ReviewMod
     data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", page.read_text())[1])
     assert len(data["frames"]) == 4
     counts = model.view(ReviewState(frame=2)).counts
-    assert data["frames"][2]["missed"] == str(counts.fn)
-    assert data["frames"][2]["true"] == str(counts.tp)
+    said = counted(data["frames"][2]["summary"])
+    assert (said["true"], said["false"], said["missed"]) == (counts.tp, counts.fp, counts.fn)
     assert len(data["cameras"]) == 3
 
 
@@ -104,16 +105,16 @@ def test_detections_without_labels_are_called_so_and_counted(
     monkeypatch.setattr(type(drive), "read", lambda self, i: without_labels(read(self, i)))
     html = export_states(ReviewModel([drive], Finds()), [ReviewState()], tmp_path / "page.html").read_text()
     data = json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])
-    assert "detection, not judged" in html and data["frames"][0]["detected"] == "1"
+    assert "detection, not judged" in html and counted(data["frames"][0]["summary"]) == {"detected": 1}
     assert not any(word in html for word in ("ground truth", "false box", "IoU ≥"))
 
 
 def test_boxes_by_who_helped_are_explained_and_counted(drive: FakeDrive, tmp_path: Path) -> None:
     model = ReviewModel([SharedSource(drive, shared_street())], FakeDetector())
     html = export_states(model, [ReviewState()], tmp_path / "page.html").read_text()
-    counts = json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])["frames"][0]
+    counts = counted(json.loads(re.search(r"__REVIEW__=(\{.*?\});", html)[1])["frames"][0]["summary"])
     assert "red cross: an agent lowers the score" in html and "true box" not in html
-    assert [counts[name] for name in ("found", "made", "harmed", "missed")] == ["3", "1", "1", "1"]
+    assert [counts[name] for name in ("found", "made", "harmed", "missed")] == [3, 1, 1, 1]
     judged = export_states(model, [ReviewState(boxes_by="verdict")], tmp_path / "page.html").read_text()
     assert "true box" in judged and "red cross" not in judged
 
@@ -244,18 +245,19 @@ def test_a_page_and_its_picture_show_the_frame_that_their_text_names(drive: Fake
                     for kind in ("mousePressed", "mouseReleased"):
                         opened.send("Input.dispatchMouseEvent", type=kind, x=500, y=385, button="left", clickCount=1)
                     # A key that a script presses may overtake the mouse, a user's cannot.
-                    opened.wait_for("document.getElementById('review-time').textContent.startsWith('frame 2')", 60.0)
+                    opened.wait_for("document.getElementById('review-summary').innerText.startsWith('Frame 2')", 60.0)
                 else:
                     opened.evaluate(KEY.replace("__KEY__", key))
             opened.evaluate("new Promise(done=>setTimeout(done,1500))")
-            text = {
-                name: opened.evaluate(f"document.getElementById('review-{name}').textContent")
-                for name in ("time", "missed", "subtitle")
-            }
+            summary, subtitle = (
+                opened.evaluate(f"document.getElementById('review-{name}').innerText")
+                for name in ("summary", "subtitle")
+            )
+            missed = opened.evaluate("document.querySelector('[data-count=missed]').innerText")
             later = keys[-1] == "middle"
-            assert text["time"].startswith("frame 2" if later else "frame 0"), keys
-            threshold = text["subtitle"].split(" · ")[1]
-            assert (text["missed"], threshold) == (("5", "score ≥ 1") if later else ("0", "score ≥ 0.3"))
+            assert summary.startswith("Frame 2" if later else "Frame 0"), keys
+            threshold = subtitle.split(" · ")[1]
+            assert (missed, threshold) == (("5", "score ≥ 1") if later else ("0", "score ≥ 0.3"))
             assert (missed_pixels(opened, tmp_path) > 50) is later, keys
             moved = opened.evaluate("window.__viserMutable.nodePoseData['/drive'].position")
             expected = [-4.0, 0.0, 0.0] if later else [0.0, 0.0, 0.0]
