@@ -77,10 +77,10 @@ def moment_report(moment: EpisodeMoment, timeline: EpisodeTimeline, row: int) ->
     links = moment.links
     ages = zip(links.senders, links.received.tolist(), (1e3 * links.age_s).tolist(), strict=True)
     told = ", ".join(f"{sender} {f'{age:.0f} ms old' if arrived else 'lost'}" for sender, arrived, age in ages)
-    heard = f"{int(links.received.sum())} of {len(links.received)} messages{f' ({told})' if told else ''}"
+    heard = f" · {int(links.received.sum())} of {len(links.received)} messages ({told})" if told else ""
     lines = [
         f"**{moment.acceleration_mps2:+.1f} m/s²**, {quoted(moment.reason)}{track} · {timeline.speed_mps[row]:.1f} m/s",
-        f"percept {percept} · {heard} · {len(moment.tracks)} tracks"
+        f"percept {percept}{heard} · {len(moment.tracks)} tracks"
         + (
             f" · {len(moment.claims)} claims of {', '.join(map(quoted, dict.fromkeys(moment.claimed_by)))}"
             if moment.claimed_by
@@ -88,7 +88,7 @@ def moment_report(moment: EpisodeMoment, timeline: EpisodeTimeline, row: int) ->
         ),
     ]
     if moment.contact is not None:
-        lines.append(f"**contact** with {quoted(moment.contact.other)} at {moment.contact.closing_mps:.1f} m/s")
+        lines.append(f"**contact** with {quoted(moment.touched)} at {moment.contact.closing_mps:.1f} m/s")
     end = f"contact at {timeline.time_s[timeline.contact_row]:.1f} s" if timeline.contact_row is not None else ""
     outcome = f"outcome: {quoted(timeline.outcome)}"
     return "\n\n".join([*lines, " · ".join(part for part in (outcome, end, quoted(timeline.message)) if part)])

@@ -363,12 +363,11 @@ class _Judged:
             return "wrong heading", f"its box is turned by {math.degrees(turn):.0f}°: {iou}"
         if kind is not None and helper is not None:
             return kind, f"{self._names(kind, helper)} moves its points by {np.hypot(*shift):.1f} m: {iou}"
-        off = self.boxes.center[box, :2] - self.truth.center[row, :2]
-        size = self.boxes.size[box] - self.truth.size[row]
-        return (
-            "badly placed",
-            f"its box is {np.hypot(*off):.1f} m off and {abs(size[0]):.1f} m too {_long(size[0])}: {iou}",
-        )
+        off = f"{np.hypot(*(self.boxes.center[box, :2] - self.truth.center[row, :2])):.1f}"
+        longer = self.boxes.size[box, 0] - self.truth.size[row, 0]
+        wrong = [f"{off} m off", f"{abs(longer):.1f} m too {_long(longer)}"]
+        told = [text for text in wrong if not text.startswith("0.0 ")] or wrong[:1]
+        return "badly placed", f"its box is {' and '.join(told)}: {iou}"
 
     def _mover(self, box: int, row: int) -> tuple[MissedKind | None, int | None, NDArray[np.float64]]:
         """Kind, helper and displacement, m, that explain at least half of how far a box is off; None without."""

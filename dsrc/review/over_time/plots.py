@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from dsrc.review.palette import Rgb, css
 
 _WIDTH, _HEIGHT, _HEAD, _EDGE = 280.0, 30.0, 18.0, 6.0
-"""Of the picture, of a strip and of the line above it, and the margin at both sides, px."""
-_LETTER, _LINE = 6.4, 13.0
-"""Width of a letter of the marks' names and height of their lines, px."""
+"""Of the picture, of a strip and of the first line above it, and the margin at both sides, px."""
+_LETTER, _LINE, _GAP = 6.4, 13.0, 6.0
+"""Width of a letter, height of further lines, and space between two texts of a line, px."""
+_RANGE = 8
+"""Letters of the range of an axis, which stands in the first line."""
 _TEXT, _FAINT, _CARD, _GROUND, _AXIS = "#1c2430", "#5f6b7c", "#eef0f3", "#ffffff", "#c3cad4"
 """Colours of the plots in both themes: colours of agents and verdicts are made for light ground."""
 
@@ -80,8 +82,12 @@ def plots_svg(
     def x(row: int) -> float:
         return _EDGE + (_WIDTH - 2.0 * _EDGE) * (row - ends[0]) / max(ends[1] - ends[0], 1)
 
-    bottom = len(strips) * (_HEAD + _HEIGHT)
-    parts = [_strip(strip, x, number * (_HEAD + _HEIGHT), now) for number, strip in enumerate(strips)]
+    bottom, parts = 0.0, list[str]()
+    for strip in strips:
+        said = _said(strip, now)
+        bottom += _HEAD + _LINE * (len(said) - 1)
+        parts.append(_strip(strip, said, x, bottom))
+        bottom += _HEIGHT
     lines, taken = 0, list[float]()
     for name, row in sorted(marks.items(), key=lambda mark: mark[1]):
         half = 0.5 * _LETTER * len(name)
@@ -101,12 +107,33 @@ def plots_svg(
     return f'<svg {goes} viewBox="0 0 {_WIDTH:g} {height:g}" width="100%" style="{style}">{"".join(parts)}</svg>'
 
 
-def _strip(strip: Strip, x: Callable[[int], float], y: float, now: int) -> str:
+def _said(strip: Strip, now: int) -> list[list[str]]:
+    """Lines above a strip, as text elements: its title, the present values and its level."""
+    words = [(strip.title, _TEXT)]
+    for line in strip.lines:
+        value = line.at(now)
+        shown = f"{value:.{strip.digits}f}" if np.isfinite(value) else "–"
+        words.append((f"{line.name} {shown}".strip(), css(line.rgb)))
+    words += [] if strip.level is None else [(f"≥ {strip.level:g}", _FAINT)]
+    lines, at = [list[str]()], 0.0
+    for text, fill in words:
+        width = _LETTER * len(text) + _GAP
+        if at + width > _WIDTH - 2.0 * _EDGE - (_LETTER * _RANGE if len(lines) == 1 else 0.0):
+            lines.append([])
+            at = 0.0
+        gap = f' dx="{_GAP:g}"' if lines[-1] else ""
+        lines[-1].append(f'<tspan fill="{fill}"{gap}>{escape(text)}</tspan>')
+        at += width
+    return lines
+
+
+def _strip(strip: Strip, said: list[list[str]], x: Callable[[int], float], top: float) -> str:
+    """SVG of a strip whose upper edge is at `top`, below what is said of it."""
     known = [line.values[np.isfinite(line.values)] for line in strip.lines]
     values = np.append(np.concatenate(known), 0.0 if strip.level is None else strip.level)
     low, high = min(float(values.min()), 0.0), float(values.max()) if strip.high is None else strip.high
     high = high if high > low else low + 1.0
-    top, right = y + _HEAD, _WIDTH - _EDGE
+    right, first = _WIDTH - _EDGE, top - 4.0 - _LINE * (len(said) - 1)
 
     def place(value: float) -> float:
         return top + _HEIGHT * (high - min(max(value, low), high)) / (high - low)
@@ -116,18 +143,13 @@ def _strip(strip: Strip, x: Callable[[int], float], y: float, now: int) -> str:
         parts.append(f'<path d="M{_EDGE} {place(0.0):.1f}H{right}" stroke="{_AXIS}"/>')
     if strip.level is not None:
         parts.append(f'<path d="M{_EDGE} {place(strip.level):.1f}H{right}" stroke="{_FAINT}" stroke-dasharray="5 3"/>')
-    said = ""
     for line in strip.lines:
         path = _path([x(row) for row in line.rows.tolist()], line.values.tolist(), place)
         style = 'stroke-width="1.5" stroke-linecap="round"' + (' stroke-dasharray="3 2.5"' if line.dashed else "")
         parts.append(f'<path d="{path}" fill="none" stroke="{css(line.rgb)}" {style}/>')
-        value = line.at(now)
-        shown = f"{value:.{strip.digits}f}" if np.isfinite(value) else "–"
-        said += f'<tspan fill="{css(line.rgb)}" dx="6">{escape(line.name)} {shown}</tspan>'
-    if strip.level is not None:
-        said += f'<tspan fill="{_FAINT}" dx="6">≥ {strip.level:g}</tspan>'
-    parts.append(f'<text x="{_EDGE}" y="{top - 4.0:g}" fill="{_TEXT}">{escape(strip.title)}{said}</text>')
-    return "".join([*parts, _text(right, top - 4.0, _range(low, high), _FAINT, "end")])
+    for number, words in enumerate(said):
+        parts.append(f'<text x="{_EDGE}" y="{first + _LINE * number:g}">{"".join(words)}</text>')
+    return "".join([*parts, _text(right, first, _range(low, high), _FAINT, "end")])
 
 
 def _range(low: float, high: float) -> str:

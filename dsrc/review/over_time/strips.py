@@ -86,7 +86,7 @@ def object_strips(
 
     def lines(values: dict[int, NDArray[np.float64]], scale: float = 1.0) -> list[Line]:
         return [
-            Line(("ego" if agent.is_ego else str(one)) if named else "", agent.rgb, seen.rows, scale * values[one])
+            Line(agent.title if named else "", agent.rgb, seen.rows, scale * values[one])
             for one, agent in shown.items()
             if one in values and one != object_id
         ]

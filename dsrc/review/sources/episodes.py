@@ -19,7 +19,8 @@ from dsrc.review.sources.moment import RUNNING, EpisodeMoment, EpisodeTimeline, 
 from sensors.corruptions import CLEAN
 from sensors.frame import AgentFrame, Frame, count_points
 from sensors.sweep import make_sweep
-from sim.boxes import Boxes, concatenate
+from sim.boxes import CLASSES, Boxes, concatenate
+from sim.contact import Contact
 from sim.errors import DataError, UserError, complaint
 from sim.geometry import invert, pose_matrix
 from sim.radio.spec import IDEAL
@@ -170,6 +171,7 @@ class EpisodeSource(Source):
             reason=tick.decision.reason,
             decisive=tick.decision.track,
             contact=tick.contact,
+            touched="" if tick.contact is None else _name(tick.contact, tick.actors),
         )
 
     def timeline(self) -> EpisodeTimeline:
@@ -246,6 +248,13 @@ def _body(ego: EgoState) -> NDArray[np.float64]:
     """World pose of the centre of the ego's footprint."""
     foot = ego.box.center[0] - [0.0, 0.0, 0.5 * ego.box.size[0, 2]]
     return np.asarray(pose_matrix(foot, ego.box.yaw[0]), np.float64)
+
+
+def _name(contact: Contact, actors: Actors) -> str:
+    """Displayed name of what is touched: class and number of a road user."""
+    if contact.other_id not in actors.boxes.object_id:
+        return contact.other
+    return f"{CLASSES[actors.boxes.label[actors.row(contact.other_id)]]} {contact.other_id}"
 
 
 def _links(percept: Percept | None, actors: Actors, ego: EgoState) -> Links:

@@ -55,6 +55,7 @@ class EpisodeMoment:
         reason: what decided.
         decisive: number of the decisive track, -1 without one.
         contact: first contact, at its step; else None.
+        touched: displayed name of whom or what the ego touches then, "" elsewhere.
         unseen: (N, N) places around the ego's LiDAR, rows along y and columns along x, `CELL_M` apart, on which a road
             user may stand that no sweep that arrived shows; None where no sweep is known.
     """
@@ -72,6 +73,7 @@ class EpisodeMoment:
     reason: str
     decisive: int
     contact: "Contact | None"
+    touched: str = ""
     unseen: NDArray[np.bool_] | None = None
 
     def moved(self, by: NDArray[np.float64]) -> "EpisodeMoment":

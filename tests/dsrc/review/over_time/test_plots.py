@@ -2,6 +2,7 @@
 
 import math
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -70,3 +71,17 @@ def test_the_ends_of_an_axis_are_whole_numbers_where_they_are_large_and_the_lowe
         return drawn(Strip("points", [Line("", (1, 2, 3), ROWS, np.linspace(low, high, 11))]))
 
     assert ">6412<" in ends(0.0, 6412.4) and ">1.5<" in ends(0.2, 1.5) and ">-36.4 to 2.21<" in ends(-36.4, 2.21)
+
+
+def test_what_is_too_long_for_a_line_goes_on_in_the_next() -> None:
+    rows = np.arange(3)
+    names = ("ego", "helper 1500", "helper 1510", "roadside unit 1")
+    lines = [Line(name, (1, 2, 3), rows, np.full(3, 19701.0)) for name in names]
+    svg = ElementTree.fromstring(plots_svg([Strip("points", lines, digits=0)], (0, 2), 1, {}, ("a", "b")))
+    heads = [text for text in svg.findall("text") if text.find("tspan") is not None]
+    said = [[word.text for word in text.findall("tspan")] for text in heads]
+    words = ["points", *(f"{name} 19701" for name in names)]
+    assert [word for line in said for word in line] == words and len(said) > 1
+    assert all(6.4 * len(" ".join(line)) <= 280.0 for line in said)
+    tops = [float(text.get("y")) for text in heads]
+    assert tops == sorted(set(tops)) and tops[-1] < float(svg.find("rect").get("y"))

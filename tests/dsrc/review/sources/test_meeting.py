@@ -1,6 +1,7 @@
 """The meeting of an episode: its contact or nearest pass, and how the two came to it."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from dsrc.review.over_time.strips import over_time
 from dsrc.review.sources.episodes import episode_source
 from dsrc.review.sources.meeting import meeting_of
 from dsrc.review.state import ReviewState
+from dsrc.review.texts import moment_report
 from sim.contact import Contact
 from sim.errors import ScenarioError
 from tests.dsrc.closed_loop.logged import EGO_ID, Mover, ahead, episode
@@ -80,6 +82,12 @@ def test_a_log_without_its_world_says_so_and_is_shown_all_the_same(monkeypatch: 
     assert met.explained and met.why == "the cause is unknown: by_hand: network: no such file"
 
 
+def test_a_contact_is_told_with_the_other_by_its_class_and_number() -> None:
+    source = episode_source(crash())
+    text = moment_report(source.moment(29), source.timeline(), 29)
+    assert f"**contact** with car {EGO_ID + 1} at 10.0 m/s" in text and "messages" not in text, "nobody sends any"
+
+
 def test_the_plots_of_an_episode_have_the_gap_and_the_contact() -> None:
     model = ReviewModel([episode_source(crash())])
     state = ReviewState(**model.opening(0))
@@ -87,4 +95,4 @@ def test_the_plots_of_an_episode_have_the_gap_and_the_contact() -> None:
     svg = over_time(model, state, model.view(state))
     for text in (">gap, m<", ">time to collision, s<", "wanted 0.0", "real 0.0", ">contact<"):
         assert text in svg
-    assert math.isclose(float(svg.split("gap, m<tspan")[1].split("> ")[1].split("<")[0]), 22.0, abs_tol=0.1)
+    assert math.isclose(float(re.search(r"gap, m</tspan><tspan[^>]*>([\d.]+)<", svg)[1]), 22.0, abs_tol=0.1)
