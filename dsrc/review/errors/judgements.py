@@ -65,12 +65,6 @@ class Judgements(Recordings):
         method = self.method(state)
         return bool(method) and isinstance(self.sources[state.drive].sets[method], ComputedSet)
 
-    def counts(self, state: ReviewState) -> Counts | None:
-        """Counts of TP, FP and FN in a frame; None without detections or labels."""
-        method = self.method(state)
-        found = self._detections(state, method) if method and self.sources[state.drive].labelled else None
-        return None if found is None else found.counts(state.threshold, state.iou)
-
     def causes(self, state: ReviewState) -> list[ErrorCause]:
         """Causes of the judged method's errors in a frame; empty where nothing is judged, or no agent has a point."""
         method, setup = self.method(state), self.setup(state)

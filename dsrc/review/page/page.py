@@ -119,6 +119,7 @@ class Page:
         self.help: Any = None
         self._reports, self._overviews, self._pictures = Reports(model), Overviews(model), Pieces[Picture]()
         self._explaining = Latest(0.0)
+        self._started: list[Job] = []
         self._changed = threading.Condition()
         self._wanted, self._drawn = 1, 0
         self._closed, self._busy = False, False
@@ -223,8 +224,8 @@ class Page:
         state = self.state
         with self.using_model:
             wanted = to_detect(self.model, state)
-        for method, setup in wanted:
-            self.worker.detect(self.model.stores[state.drive], method, setup, state.frame)
+        store = self.model.stores[state.drive]
+        self._started += [self.worker.detect(store, method, setup, state.frame) for method, setup in wanted]
         # A short one may end between two looks at it.
         self._busy = True
         with self._changed:
@@ -239,6 +240,16 @@ class Page:
         """Detections over the whole drive that have not ended."""
         store = self.model.stores[self.state.drive]
         return [job for job in self.worker.jobs() if job.store is store]
+
+    def _tell_ended(self) -> None:
+        """Tell what went wrong in jobs of this page that have ended."""
+        for job in [job for job in self._started if job.ended]:
+            self._started.remove(job)
+            if job.skipped:
+                (row, why), more = job.skipped[0], len(job.skipped) - 1
+                self.tell(f"Not detected in frame {row}{f' and {more} more' if more else ''}: {why}")
+            if job.error:
+                self.tell(f"Error: detecting has ended. {job.error}")
 
     def search(self, look: Callable[[GoesOn], None]) -> None:
         """Run a search of this browser, or let the one that runs make way for it and return at once.

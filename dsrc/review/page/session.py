@@ -177,6 +177,7 @@ class Session(Page):
         if time.monotonic() < self._refresh_at:
             return
         was, self._busy = self._busy, bool(self.detecting()) or not self.source.ended
+        self._tell_ended()
         drive, before = self._counted
         self._counted = self.state.drive, (frames := len(self.source))
         if drive == self.state.drive and before != frames:

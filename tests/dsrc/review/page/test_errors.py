@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from dsrc.data.sample import Sample
 from dsrc.review import palette
 from dsrc.review.errors.filters import FP, KINDS
 from dsrc.review.errors.notes import NoteBook
@@ -23,7 +24,8 @@ from dsrc.review.page.panels.run.notes import NotesPanel
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from dsrc.review.palette import css, method_color
-from sim.errors import SettingsError
+from sensors.frame import Frame
+from sim.errors import DataError, SettingsError
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.page.conftest import SocketBrowser
 from tests.dsrc.review.page.test_session import panel, wait_for
@@ -165,6 +167,30 @@ def test_drives_of_one_name_detect_for_themselves(
         assert job.state == "done" and app.worker.jobs() == []
     finally:
         app.close()
+
+
+def test_frames_that_cannot_be_detected_in_and_a_detector_that_fails_are_told(
+    session: Session, drive: FakeDrive, detector: FakeDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = type(drive).read
+
+    def broken(self: FakeDrive, row: int) -> Frame:
+        if row in (8, 9):
+            raise DataError(f"{row:06d}.pcd: not a readable point cloud")
+        return read(self, row)
+
+    monkeypatch.setattr(type(drive), "read", broken)
+    session.detect_all()
+    wait_for(lambda: "frame 8 and 1 more: 000008.pcd: not a readable" in session._notice.content.replace("\\", ""))
+
+    def fails(sample: Sample) -> None:
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(detector, "detect", fails)
+    session.update(cooperative=False)
+    session.wait_drawn()
+    session.detect_all()
+    wait_for(lambda: "detecting has ended. frame 0: RuntimeError: out of memory" in session._notice.content)
 
 
 def test_a_click_on_a_row_shows_its_error_and_the_threshold_writes_the_list_again(session: Session) -> None:
