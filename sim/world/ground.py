@@ -11,11 +11,11 @@ from sim.roads.networks import read_network
 from sim.scenario import Scenario
 from sim.traffic.parking import parked_cars
 from sim.world.highway import highway_streets
-from sim.world.roads.islands import with_islands
 from sim.world.roads.kerbs import kerbs_of, stones
 from sim.world.roads.landscape import uneven_land
 from sim.world.roads.streets import Streets, read_streets
 from sim.world.roads.surfaces import pavement
+from sim.world.roads.swept import swept_axes, with_islands, with_swept
 
 MARGIN_M = 120.0
 """Margin of the world beyond `network.area_m`, m: the range of a sensor."""
@@ -42,7 +42,8 @@ def _uneven(scenario_json: bytes, seed: int) -> Streets:
     scenario = msgspec.json.decode(scenario_json, type=Scenario)
     streets = _level(scenario, seed)
     if scenario.conflict is None:  # whose road users may leave their lanes
-        streets = with_islands(streets)
+        axes = swept_axes(streets)
+        streets = with_islands(with_swept(streets, axes), axes)
     paved = pavement(streets)
     kerbs = kerbs_of(streets, paved, seed)
     terrain, land = uneven_land(streets, paved, kerbs, seed)

@@ -54,7 +54,7 @@ class Ground:
         taken: Iterable[Array] = (),
     ) -> None:
         self.streets = streets
-        self.road = shapely.unary_union([streets.road, streets.rail])
+        self.road = shapely.unary_union([streets.road, streets.rail, streets.swept])
         self.footways = streets.walk
         self.walk = shapely.unary_union([streets.walk, pavement(streets)])
         self.houses = shapely.unary_union([houses, clear])

@@ -29,7 +29,7 @@ class _Places:
     """Free ground: off lanes, buildings and other objects."""
 
     def __init__(self, streets: Streets, footprint: shapely.Geometry, units: Array) -> None:
-        self.road = streets.road | streets.rail
+        self.road = shapely.union_all([streets.road, streets.rail, streets.swept])
         self.walk = streets.walk
         self.footprint = footprint
         self.frame = shapely.box(*streets.window)

@@ -1,4 +1,4 @@
-"""Kerbs of worlds of version 2: the step from the gutter up to the footway, dropped where people and cars pass it.
+"""Kerbs of worlds of version 2: the step up to the footway, dropped where people, cars and rears of lorries pass it.
 
 Heights as these sources are commonly quoted; their texts were not at hand: kerbs of 12 cm beside footways, of 10 to 15
 cm in all, and 3 cm at drives (RASt 06, FGSV); 3 cm at crossings, and ramps of at most 6 % to them (DIN 18040-3).
@@ -35,7 +35,7 @@ class Kerbs:
 
     Attributes:
         high: along footways.
-        dropped: the same, at crossings and drives.
+        dropped: the same, at crossings, drives and swept corners.
         level: without a footway, and those of tracks.
     """
 
@@ -73,7 +73,7 @@ def kerbs_of(streets: Streets, paved: shapely.Geometry, seed: int) -> Kerbs:
     ways = [lane for lane in streets.lanes if lane.kind in ("walk", "crossing", "rail") and not lane.beside_road]
     # Crossings of the network may end some metres before the edge of the carriageway.
     openings = [prolonged(lane.line, _AHEAD_M).buffer(0.5 * lane.width, cap_style="flat") for lane in ways]
-    low = shapely.union_all([*openings, *_drives(kerbed, seed)])
+    low = shapely.union_all([*openings, streets.swept.buffer(0.05), *_drives(kerbed, seed)])
     return Kerbs(kerbed - low, kerbed & low, shapely.union_all([level, streets.rail.boundary]))
 
 

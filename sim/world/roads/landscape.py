@@ -23,7 +23,7 @@ from sim.streams import Stream, random_generator
 from sim.world.roads.kerbs import KERB_M, RAMP_STEP_M, Kerbs
 from sim.world.roads.markings import offset
 from sim.world.roads.relief import MOTORWAY, PLOTS, TOWN, draw_relief
-from sim.world.roads.streets import Lane, Streets
+from sim.world.roads.streets import Lane, Streets, heading
 from sim.world.roads.surfaces import TOWN_SPEED_MPS
 from sim.world.roads.terrain import CELL_M, Facets, Terrain, grid, land_corners, rim
 
@@ -119,13 +119,9 @@ def _relief(streets: Streets, axes: _Axes, xy: Array, beside_m: Array, seed: int
 def _turning(streets: Streets) -> "_Region":
     """Return the ground of lanes on which vehicles turn at junctions."""
     lanes = [lane for lane in streets.lanes if lane.kind == "road" and lane.internal]
-    turns = [lane for lane in lanes if abs(wrap_angle(_heading(lane.line[-2:]) - _heading(lane.line[:2]))) > _TURN_RAD]
+    turns = [lane for lane in lanes if abs(wrap_angle(heading(lane.line[-2:]) - heading(lane.line[:2]))) > _TURN_RAD]
     ways = [shapely.LineString(lane.line).buffer(0.5 * lane.width, cap_style="flat") for lane in turns]
     return _Region(shapely.union_all(ways))
-
-
-def _heading(ends: Array) -> float:
-    return float(np.arctan2(*(ends[1] - ends[0])[::-1]))
 
 
 def _axes(streets: Streets) -> _Axes:

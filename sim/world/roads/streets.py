@@ -71,6 +71,8 @@ class Streets:
         land: height field beside the carriageways, on the triangles of `terrain`; None where no kerb raises it.
         kerbs: polygon of the stones between both.
         islands: polygon of islands in junctions, no part of the road.
+        on_foot: polygon of where people walk, but for crossings: also on the road and on islands.
+        swept: polygon beside the road that long vehicles sweep at corners: even, and nothing stands there.
     """
 
     area: Area
@@ -84,6 +86,8 @@ class Streets:
     land: Terrain | None = None
     kerbs: shapely.Geometry = NOTHING
     islands: shapely.Geometry = NOTHING
+    on_foot: shapely.Geometry = NOTHING
+    swept: shapely.Geometry = NOTHING
 
     def height(self, xy: Array) -> Array:
         """Return (N,) height of the road or the land at (N, 2) positions."""
@@ -122,10 +126,17 @@ def read_streets(net: Network, area: Area | None, margin_m: float, bays: shapely
     road = _close(_cover(lanes, ("road", "bicycle")) | _junctions(net, frame) | bays) & frame
     areas = [edge for edge in net.getEdges(withInternal=True) if edge.getFunction() == "walkingarea"]
     walk = _cover(lanes, ("walk",)) | _walking_areas(areas, frame)
-    walk = _close(walk & frame) - road
+    on_foot = _close(walk & frame)
+    walk = on_foot - road
     rail = (_cover(lanes, ("rail",)) & frame) - road - walk
     terrain = land(window, lines, shapely.union_all([road, walk, rail]))
-    return Streets(area, window, tuple(lanes), road, walk, rail, terrain, bays)
+    return Streets(area, window, tuple(lanes), road, walk, rail, terrain, bays, on_foot=on_foot)
+
+
+def heading(ends: Array) -> float:
+    """Return the direction of (2, 2) ends of a line, rad."""
+    (x, y), (to_x, to_y) = ends
+    return float(np.arctan2(to_y - y, to_x - x))
 
 
 def _kind(edge: Edge, lane: RoadLane) -> str:

@@ -40,7 +40,7 @@ def surfaces(streets: Streets) -> list[MeshPart]:
 
 
 def pavement(streets: Streets) -> shapely.Geometry:
-    """Return the polygon of footways and of a strip along the carriageways of a town."""
+    """Return the polygon of footways, of a strip along the carriageways of a town, of islands and of swept corners."""
     strips = [
         shapely.LineString(lane.line).buffer(-0.5 * lane.width - _PAVEMENT_WIDTH_M, single_sided=True)
         for lane in streets.lanes
@@ -48,8 +48,7 @@ def pavement(streets: Streets) -> shapely.Geometry:
     ]
     strips.append(streets.bays.buffer(_PAVEMENT_WIDTH_M, join_style="mitre"))
     around = shapely.unary_union(strips).buffer(0.2).buffer(-0.2) & shapely.box(*streets.window)
-    if not streets.islands.is_empty:
-        around |= streets.islands
+    around = shapely.union_all([around, streets.islands, streets.swept])
     return ((around | streets.walk) - streets.road - streets.rail).simplify(0.05).buffer(0)
 
 
