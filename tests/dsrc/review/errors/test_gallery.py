@@ -23,7 +23,7 @@ from sim.errors import DataError
 def detected(model: ReviewModel) -> ReviewModel:
     """Model of a street of which three frames are detected in: in each one car is missed, and one box is of nothing."""
     for frame in range(3):
-        assert model.counts(ReviewState(frame=frame)) is not None
+        assert model.view(ReviewState(frame=frame)).counts is not None
     return model
 
 
