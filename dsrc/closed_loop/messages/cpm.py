@@ -7,7 +7,7 @@
   has no direction: that of a standing track is noise.
 * Pedestrians and bicycles, Type-A: one when it is new; all of them when one was told half a second ago (6.1.2.3,
   rule 1).
-* With a rule of redundancy mitigation, what others told is left out, see `dsrc.messages.cpm`.
+* With a rule of redundancy mitigation, what others told is left out, see `dsrc.messages.cpm`, and makes no other due.
 
 The rules were compared with those in Artery's `CpService`, which quotes the clause. The threshold of object perception
 quality is left to the tracker, and no object is told ahead of the next event, which the clause allows.
@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dsrc.closed_loop.messages.present import advanced
 from dsrc.closed_loop.tracking.tracker import Tracker
@@ -76,7 +77,8 @@ class CpmSender:
         if time_s - self._sent_s < SHORTEST_S - _SLACK_S:
             return None
         objects = Objects(tracks.boxes, tracks.score, tracks.velocity)
-        due = self._due(tracks, time_s) & ~redundant(self._rule, objects, place, heard, time_s)
+        left = redundant(self._rule, objects, place, heard, time_s)
+        due = self._due(tracks, left, time_s) & ~left
         if not due.any() and time_s - self._sent_s < LONGEST_S - _SLACK_S:
             return None
         told = tracks[due]
@@ -92,8 +94,8 @@ class CpmSender:
         """Take the last message back, which the channel did not let out: its objects are yet to be told."""
         self._told, self._sent_s = self._before
 
-    def _due(self, tracks: Tracks, time_s: float) -> np.ndarray:
-        """Return (N,) which tracks are told now."""
+    def _due(self, tracks: Tracks, left: NDArray[np.bool_], time_s: float) -> NDArray[np.bool_]:
+        """Return (N,) which tracks are told now, but for those that are left to others."""
         soft = np.isin(tracks.boxes.label, _TYPE_A)
         due, soft_due = np.zeros(len(tracks), bool), False
         for row, number in enumerate(tracks.boxes.object_id.tolist()):
@@ -103,7 +105,7 @@ class CpmSender:
                 continue
             age_s = time_s - last.time_s + _SLACK_S
             if soft[row]:
-                soft_due |= age_s >= 0.5 * LONGEST_S
+                soft_due |= age_s >= 0.5 * LONGEST_S and not left[row]
                 continue
             velocity = tracks.velocity[row]
             speeds = np.linalg.norm([last.velocity, velocity], axis=1)

@@ -95,6 +95,17 @@ def test_a_new_pedestrian_is_told_alone_and_with_all_others_once_one_is_due() ->
     assert told == {0: 1, 4: 1, 5: 2, 10: 2}, "the second is new at 0.4 s, the first due at 0.5 s, and with it both"
 
 
+def test_a_pedestrian_that_others_tell_makes_no_other_due() -> None:
+    sender, other, told = CpmSender("distance"), CpmSender(), []
+    heard = other.message(seen((10.0, 3.0, WALKER)), 0.0, HERE)
+    for step in range(13):
+        both = seen((10.0, 3.0, WALKER), (20.0, -3.0, WALKER))
+        message = sender.message(both, 0.1 * step, HERE, [heard] if heard and step else [])
+        heard = other.message(seen((10.0, 3.0, WALKER)), 0.1 * step + 0.05, HERE) or heard
+        told.append(0 if message is None else len(message.objects))
+    assert told == [2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0]
+
+
 def test_a_receiver_moves_what_it_knows_and_forgets_what_is_told_no_more() -> None:
     sender, picture, sizes = CpmSender(), CpmPicture(), []
     for step in range(41):
