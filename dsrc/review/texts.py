@@ -1,13 +1,13 @@
-"""Texts of the live page: counts, card of the selection and legend."""
+"""Texts of live and written pages as HTML: counts, card of the selection and legend."""
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 
 from dsrc.options.review import ColorBy
 from dsrc.review import palette
+from dsrc.review.errors.judged import Counts
 from dsrc.review.palette import Rgb
 from dsrc.review.points import HEIGHT_M, RANGE_M, RETURNS
 from dsrc.review.sources.moment import EpisodeMoment, EpisodeTimeline
@@ -23,75 +23,66 @@ def quoted(text: str) -> str:
     return "".join(f"\\{letter}" if letter in r"\`*_{}[]<>()#|!&~" else letter for letter in " ".join(text.split()))
 
 
-def html_of(markdown: str) -> str:
-    """HTML of the Markdown of these texts: paragraphs, tables, bold, and letters after a backslash."""
-    parts = []
-    for block in filter(None, markdown.split("\n\n")):
-        if block.startswith("|"):
-            head, _, *rows = [[_plain(cell) for cell in _CELL.findall(line[1:])] for line in block.split("\n")]
-            parts.append(html_table(head, rows))
-            continue
-        pieces = _MARK.sub(lambda m: "\0" if m[0] == "**" else escape(m[1] or m[0]), block).split("\0")
-        parts.append(f"<p>{''.join(f'<b>{one}</b>' if odd % 2 else one for odd, one in enumerate(pieces))}</p>")
-    return "".join(parts)
+def plain(text: str) -> str:
+    """HTML that shows a text as it is: names from files are no elements."""
+    return escape(text, quote=False)
 
 
-_MARK = re.compile(r"\\(.)|\*\*|[<>&]")
-_CELL = re.compile(r"((?:\\.|[^|\\])*)\|")
+def paragraphs(*lines: str) -> str:
+    """HTML of a paragraph for each line, itself HTML; those without text are left out."""
+    return "".join(f'<p style="margin:.25em 1em;font-size:.88em;line-height:1.45">{line}</p>' for line in lines if line)
 
 
-def _plain(cell: str) -> str:
-    return _MARK.sub(lambda m: "" if m[0] == "**" else m[1] or m[0], cell.strip())
-
-
-def frame_report(view: FrameView) -> str:
-    """Markdown of a frame: number, time, true and false boxes, missed objects, precision and recall."""
-    head = f"**Frame {view.index}** · {view.time_s:.1f} s"
+def _frame_report(view: FrameView) -> str:
+    """HTML of a frame: number, time, true and false boxes, missed objects, precision and recall."""
+    head = f"<b>Frame {view.index}</b> · {view.time_s:.1f} s"
     if not view.labelled:
         boxes = f" {view.detected} detections." if view.detected else ""
-        return f"{head}\n\nNo labels: nothing is judged.{boxes}"
+        return paragraphs(head, f"No labels: nothing is judged.{boxes}")
     if view.counts is None:
-        evaluated = len(view.truth) - len(view.layers[OTHER_TRUTH])
-        return f"{head}\n\n{evaluated} vehicles in sight of an agent, {len(view.truth)} road users in all. No detector."
+        evaluated, every = len(view.truth) - len(view.layers[OTHER_TRUTH]), len(view.truth)
+        return paragraphs(head, f"{evaluated} vehicles in sight of an agent, {every} road users in all. No detector.")
     rows = [("this frame", view.counts)]
     rows += [(f"{view.seen_frames} seen", view.seen)] if view.seen_frames > 1 else []
-    table = "\n".join(
-        f"| {name} | {c.tp} | {c.fp} | {c.fn} | {_share(c.precision)} | {_share(c.recall)} |" for name, c in rows
-    )
-    columns = "| | true | false | missed | prec. | recall |\n|:--|--:|--:|--:|--:|--:|"
-    return f"{head}\n\n{columns}\n{table}"
+    cells = [(name, *_counted(c), _share(c.precision), _share(c.recall)) for name, c in rows]
+    return paragraphs(head) + html_table(("", "true", "false", "missed", "prec.", "recall"), cells)
 
 
-def notice_text(view: FrameView) -> str:
-    """Explanation of missing detections in a frame, and counts of the methods drawn over the judged one."""
-    compared = [(quoted(one.name), one.counts) for one in view.compared if one.counts is not None]
-    rows = "\n".join(f"| {name} | {c.tp} | {c.fp} | {c.fn} |" for name, c in compared)
-    table = f"| over it | true | false | missed |\n|:--|--:|--:|--:|\n{rows}" if rows else ""
-    return "\n\n".join(part for part in (quoted(view.notice), table) if part)
+def _notice(view: FrameView) -> str:
+    """HTML of why detections are missing in a frame, and of the counts of the methods drawn over the judged one."""
+    rows = [(one.name, *_counted(one.counts)) for one in view.compared if one.counts is not None]
+    return paragraphs(plain(view.notice)) + (html_table(("over it", "true", "false", "missed"), rows) if rows else "")
 
 
-def moment_report(moment: EpisodeMoment, timeline: EpisodeTimeline, row: int) -> str:
-    """Markdown of a step of an episode: what the driver does and why, what it has heard, and how it ends."""
+def _counted(counts: Counts) -> tuple[str, str, str]:
+    return str(counts.tp), str(counts.fp), str(counts.fn)
+
+
+def moment_report(moment: EpisodeMoment, timeline: EpisodeTimeline, row: int, why: str = "") -> str:
+    """HTML of a step of an episode: what the driver does and why, what it has heard, and how it ends.
+
+    Args:
+        why: cause of the crash, "" without one.
+    """
     track = f", track {moment.decisive}" if moment.decisive >= 0 else ""
     percept = "none yet" if math.isnan(moment.percept_age_s) else f"{1e3 * moment.percept_age_s:.0f} ms old"
     links = moment.links
     ages = zip(links.senders, links.received.tolist(), (1e3 * links.age_s).tolist(), strict=True)
     told = ", ".join(f"{sender} {f'{age:.0f} ms old' if arrived else 'lost'}" for sender, arrived, age in ages)
     heard = f" · {int(links.received.sum())} of {len(links.received)} messages ({told})" if told else ""
-    lines = [
-        f"**{moment.acceleration_mps2:+.1f} m/s²**, {quoted(moment.reason)}{track} · {timeline.speed_mps[row]:.1f} m/s",
-        f"percept {percept}{heard} · {len(moment.tracks)} tracks"
-        + (
-            f" · {len(moment.claims)} claims of {', '.join(map(quoted, dict.fromkeys(moment.claimed_by)))}"
-            if moment.claimed_by
-            else ""
-        ),
-    ]
-    if moment.contact is not None:
-        lines.append(f"**contact** with {quoted(moment.touched)} at {moment.contact.closing_mps:.1f} m/s")
+    liars = plain(", ".join(dict.fromkeys(moment.claimed_by)))
+    claims = f" · {len(moment.claims)} claims of {liars}" if liars else ""
+    wanted, touched = f"<b>{moment.acceleration_mps2:+.1f} m/s²</b>", plain(moment.touched)
+    hit = "" if moment.contact is None else f"<b>contact</b> with {touched} at {moment.contact.closing_mps:.1f} m/s"
     end = f"contact at {timeline.time_s[timeline.contact_row]:.1f} s" if timeline.contact_row is not None else ""
-    outcome = f"outcome: {quoted(timeline.outcome)}"
-    return "\n\n".join([*lines, " · ".join(part for part in (outcome, end, quoted(timeline.message)) if part)])
+    ends = (f"outcome: {plain(timeline.outcome)}", end, plain(timeline.message))
+    return paragraphs(
+        f"<b>{plain(why)}</b>" if why else "",
+        f"{wanted}, {plain(moment.reason)}{track} · {timeline.speed_mps[row]:.1f} m/s",
+        f"percept {percept}{heard} · {len(moment.tracks)} tracks{claims}",
+        hit,
+        " · ".join(filter(None, ends)),
+    )
 
 
 def _share(value: float | None) -> str:
@@ -99,53 +90,53 @@ def _share(value: float | None) -> str:
 
 
 def selection_report(details: ObjectDetails | DetectionDetails | None) -> str:
-    """Markdown of the card of the selected object or detection."""
+    """HTML of the card of the selected object or detection."""
     if details is None:
-        return "Click a body or a detection, or choose an object."
+        return paragraphs("Click a body or a detection, or choose an object.")
     return _object_card(details) if isinstance(details, ObjectDetails) else _detection_card(details)
 
 
 def _object_card(details: ObjectDetails) -> str:
-    lane = f" · lane {quoted(details.lane)}" if details.lane else ""
-    lights = f" · {', '.join(map(quoted, details.lights))}" if details.lights else ""
     change = "" if math.isnan(details.acceleration) else f", {details.acceleration:+.1f} m/s²"
-    head = f"**{details.class_name} {details.object_id}**, {_SEEN_BY[details.seen_by]}"
     match = "" if math.isnan(details.score) else f"score {details.score:.2f}, IoU {details.iou:.2f}"
-    why = ", ".join(part for part in (f"**{details.verdict}**", quoted(details.cause) or match) if part)
-    detected = f"\n\n{why}" if details.verdict else ""
-    rows = "\n".join(
-        f"| {s.agent} | {s.points}{'' if s.points == s.points_left else f' → {s.points_left}'} "
-        f"| {'–' if math.isnan(s.fraction) else f'{100 * s.fraction:.0f} %'} |"
-        for s in details.visibility
-    )
-    table = f"| | points | visible |\n|:--|--:|--:|\n{rows}"
-    place = f"{_size(details.size)} · {details.distance_m:.1f} m away · {details.speed:.1f} m/s{change}{lights}{lane}"
-    return f"{head}{detected}\n\n{place}\n\n{table}{_shares(details.shares)}"
+    why = ", ".join(filter(None, (f"<b>{details.verdict}</b>", plain(details.cause) or match)))
+    motion = f"{details.speed:.1f} m/s{change}"
+    parts = [_place(details), motion, ", ".join(details.lights), f"lane {details.lane}" if details.lane else ""]
+    rows = [
+        (
+            one.agent,
+            f"{one.points}{'' if one.points == one.points_left else f' → {one.points_left}'}",
+            "–" if math.isnan(one.fraction) else f"{100 * one.fraction:.0f} %",
+        )
+        for one in details.visibility
+    ]
+    head = f"<b>{details.class_name} {details.object_id}</b>, {_SEEN_BY[details.seen_by]}"
+    said = paragraphs(head, why if details.verdict else "", plain(" · ".join(filter(None, parts))))
+    return said + html_table(("", "points", "visible"), rows) + _shares(details.shares)
 
 
 def _detection_card(details: DetectionDetails) -> str:
-    head = f"**{details.class_name}, score {details.score:.2f}**"
-    verdict = f", **{details.verdict}**" if details.verdict else ""
-    why = f"\n\n{quoted(details.cause)}" if details.cause else ""
+    verdict = f", <b>{details.verdict}</b>" if details.verdict else ""
     nearest = f"IoU {details.iou:.2f} with {details.object_name}" if details.object_name else "overlaps no object"
-    rows = "\n".join(f"| {agent} | {points} |" for agent, points in details.points)
-    place = f"{_size(details.size)} · {details.distance_m:.1f} m away"
-    table = f"| | points in the box |\n|:--|--:|\n{rows}"
-    return f"{head}{verdict}{why}\n\n{nearest} · {place}\n\n{table}{_shares(details.shares)}"
+    head = f"<b>{details.class_name}, score {details.score:.2f}</b>{verdict}"
+    said = paragraphs(head, plain(details.cause), f"{nearest} · {_place(details)}")
+    rows = [(agent, str(points)) for agent, points in details.points]
+    return said + html_table(("", "points in the box"), rows) + _shares(details.shares)
+
+
+def _place(details: ObjectDetails | DetectionDetails) -> str:
+    return f"{' × '.join(f'{side:.1f}' for side in details.size)} m · {details.distance_m:.1f} m away"
 
 
 def _shares(shares: Sequence[AgentShare]) -> str:
     """Table of the agents' shares, which sum to the team's score; "" without any."""
     if not shares:
         return ""
-    rows = "\n".join(f"| {one.agent} | {one.share:+.2f} | {one.without:.2f} |" for one in shares[1:])
-    alone, together = f"| {shares[0].agent} alone | {shares[0].share:.2f} | |", sum(one.share for one in shares)
-    head = "| who helped | share | without |\n|:--|--:|--:|"
-    return f"\n\n{head}\n{alone}\n{rows}\n| all | {together:.2f} | |"
-
-
-def _size(size: tuple[float, float, float]) -> str:
-    return " × ".join(f"{side:.1f}" for side in size) + " m"
+    rows = [(f"{shares[0].agent} alone", f"{shares[0].share:.2f}", "")]
+    rows += [(one.agent, f"{one.share:+.2f}", f"{one.without:.2f}") for one in shares[1:]]
+    return html_table(
+        ("who helped", "share", "without"), [*rows, ("all", f"{sum(one.share for one in shares):.2f}", "")]
+    )
 
 
 def ruler_report(view: FrameView) -> str:
@@ -243,7 +234,6 @@ def _box_rows(view: FrameView) -> list[_Row]:
 
 def summary(view: FrameView) -> str:
     """HTML of a frame in numbers: its counts, why detections are missing, and the legend with how many there are."""
-    said = html_of("\n\n".join(part for part in (frame_report(view), notice_text(view)) if part))
     lines = ""
     for row in _rows(view):
         color = "transparent" if row.rgb is None else palette.css(row.rgb)
@@ -253,13 +243,11 @@ def summary(view: FrameView) -> str:
         count = f'<b data-count="{row.name}">{row.count}</b>' if row.count else ""
         lines += f'<li><i style="{fill}{edge}"></i><span>{escape(row.text)}</span>{count}</li>'
     bar = scale_bar(view.state.color_by)
-    return f'<div class="review"><style>{_STYLE}</style>{said}<ul>{bar}{lines}</ul></div>'
+    return f'<div class="review"><style>{_STYLE}</style>{_frame_report(view)}{_notice(view)}<ul>{bar}{lines}</ul></div>'
 
 
 # Below the counts; of a long legend the rest is scrolled to. A line around a mark shows white on a white panel.
 _STYLE = (
-    ".review p{margin:.2em 1em;font-size:.82em}"
-    ".review table{margin:0 13px!important}"
     ".review ul{margin:0;padding:.2em 1em .4em;font-size:.82em;line-height:1.6;max-height:45vh;overflow:auto}"
     ".review li{display:flex;gap:.6em;align-items:baseline}"
     ".review i{flex:none;width:.7em;height:.7em;box-sizing:border-box;box-shadow:0 0 0 1px rgba(112,122,140,.6)}"
@@ -296,7 +284,7 @@ def html_table(
         return line
 
     lines = [cells(head, "th"), *(cells(row, "td", number) for number, row in enumerate(rows))]
-    style = "margin:0 .7em;font-size:.76em;line-height:1.6"
+    style = "margin:0 1.15em;font-size:.76em;line-height:1.6"
     return f'<table style="{style}">{"".join(f"<tr>{line}</tr>" for line in lines)}</table>'
 
 

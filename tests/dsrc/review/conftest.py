@@ -1,6 +1,7 @@
 """A street of six cars, two of them agents, and a roadside unit, far from the world's origin; and a fake detector."""
 
 import logging
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -162,3 +163,8 @@ def fake_fog(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, str, int]]:
 
     monkeypatch.setattr("sensors.corruptions.condition.corrupt_frame", corrupt_frame)
     return calls
+
+
+def cells(html: str) -> list[list[str]]:
+    """Texts of the rows of the tables in some HTML, heads too."""
+    return [re.findall(r"<t[hd][^>]*>([^<]*)</t", row) for row in re.findall(r"<tr>(.*?)</tr>", html)]

@@ -1,9 +1,21 @@
-from dsrc.review.texts import html_of, quoted
+from dataclasses import replace
+
+from dsrc.review.model import ReviewModel
+from dsrc.review.state import ReviewState
+from dsrc.review.texts import selection_report, summary
+from tests.dsrc.review.conftest import cells
 
 
-def test_cards_are_the_same_in_markdown_and_in_html() -> None:
-    name = quoted("<b>**x**|y_1</b>")
-    html = html_of(f"**missed**, {name} & more\n\n| | points |\n|:--|--:|\n| {name} | 3 → 1 |")
+def test_what_files_name_is_no_element_of_a_page(model: ReviewModel) -> None:
+    name = "<b>**x**|y_1</b>"
+    view = model.view(ReviewState(object_id=1003))
+    card = selection_report(replace(view.details, lane=name, cause=f"hidden & {name}"))
     shown = "&lt;b&gt;**x**|y_1&lt;/b&gt;"
-    assert f"<p><b>missed</b>, {shown} &amp; more</p>" in html
-    assert f">{shown}</td>" in html and ">3 → 1</td>" in html and html.count("<td") == 2 and html.count("<th") == 2
+    assert f"lane {shown}" in card and f"hidden &amp; {shown}" in card and name not in card
+    said = summary(replace(view, notice=name))
+    assert shown in said and name not in said
+
+
+def test_tables_of_cards_have_a_head_and_a_row_for_each_agent(model: ReviewModel) -> None:
+    card = selection_report(model.view(ReviewState(object_id=1003)).details)
+    assert cells(card)[0] == ["", "points", "visible"] and len(cells(card)) == 4

@@ -29,13 +29,13 @@ _CSS = """
  border:1px solid rgba(148,163,184,.20);border-radius:10px;user-select:none}
 #review{left:16px;max-width:min(330px,80vw)}
 #review-side{right:16px;width:330px;max-width:46%;max-height:calc(100% - 110px);overflow:auto}
-#review-side p{margin:0 0 .5em;font-size:13px}
+#review-side p{margin:0 0 .5em!important;font-size:13px!important}
 #review table,#review-side table{margin:0!important;font-size:12px!important}
 #review-side svg{cursor:default!important;margin-top:6px}
 #review-side summary{cursor:pointer;margin-top:8px}
 #review h1{margin:0 0 1px;font-size:15px;font-weight:650;color:#fff;letter-spacing:.01em}
 #review p{margin:0;color:#93a1b5;font-size:12px}
-#review .review p{margin:0}
+#review .review p{margin:0!important;font-size:12px!important}
 #review .review ul{margin-top:8px;padding:8px 0 0;max-height:none;font-size:13px;
  border-top:1px solid rgba(148,163,184,.18)}
 #review .review b{color:#fff}

@@ -29,7 +29,7 @@ from dsrc.review.page.scene import SceneWriter, backdrop, place_frame, set_light
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState, Theme
 from dsrc.review.static import StaticPart
-from dsrc.review.texts import html_of, moment_report, quoted, selection_report, summary
+from dsrc.review.texts import moment_report, selection_report, summary
 from dsrc.review.view import FrameView
 from sim.errors import SettingsError, UserError, complaint
 from sim.geometry import pose_matrix
@@ -214,15 +214,14 @@ def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool
     if not shared:
         return texts
     source = model.sources[state.drive]
-    words, line, met = [], source.timeline(), source.meeting
+    card, line, met = "", source.timeline(), source.meeting
     if view.moment is not None and line is not None:
-        words += [f"**{quoted(met.why)}**"] if met is not None and met.why else []
-        words.append(moment_report(view.moment, line, view.index))
+        card = moment_report(view.moment, line, view.index, "" if met is None else met.why)
     if view.details is not None:
-        words.append(selection_report(view.details))
+        card += selection_report(view.details)
         for row in (history := model.histories[state.drive]).lacking():
             history.read(row)
-    return texts | {"card": html_of("\n\n".join(words)), "plots": over_time(model, state, view)}
+    return texts | {"card": card, "plots": over_time(model, state, view)}
 
 
 def _world(model: ReviewModel, drive: int) -> list[StaticPart]:

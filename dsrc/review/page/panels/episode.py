@@ -2,7 +2,7 @@
 
 from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.texts import moment_report, quoted
+from dsrc.review.texts import moment_report
 
 
 class EpisodePanel(Panel):
@@ -13,7 +13,7 @@ class EpisodePanel(Panel):
     def build(self) -> None:
         """Add the text; hidden until there is a step."""
         self.folder.visible = False
-        self.text = self._page.gui.add_markdown("")
+        self.text = self._page.gui.add_html("")
 
     def show(self, shown: Shown) -> None:
         """Write the step, and the cause once it is known."""
@@ -21,5 +21,4 @@ class EpisodePanel(Panel):
         set_fields(self.folder, visible=moment is not None)
         if shown.view is not None and moment is not None and line is not None:
             why = self._page.why_crashed(shown.source)
-            cause = f"**{quoted(why)}**\n\n" if why else ""
-            set_fields(self.text, content=f"{cause}{moment_report(moment, line, shown.view.index)}")
+            set_fields(self.text, content=moment_report(moment, line, shown.view.index, why))

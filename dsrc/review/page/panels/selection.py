@@ -5,7 +5,7 @@ from typing import Any
 from dsrc.review.page.controls import Choice, Control
 from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
-from dsrc.review.texts import selection_report
+from dsrc.review.texts import paragraphs, selection_report
 from sim.boxes import CLASSES
 
 
@@ -33,7 +33,7 @@ class SelectionPanel(Panel):
 
     def build(self) -> None:
         """Add the card above the list."""
-        self.card = self._page.gui.add_markdown("")
+        self.card = self._page.gui.add_html("")
         super().build()
 
     def show(self, shown: Shown) -> None:
@@ -41,4 +41,5 @@ class SelectionPanel(Panel):
         super().show(shown)
         if shown.view is not None:
             gone = shown.state.object_id is not None and shown.view.details is None
-            set_fields(self.card, content="Not in this frame." if gone else selection_report(shown.view.details))
+            card = paragraphs("Not in this frame.") if gone else selection_report(shown.view.details)
+            set_fields(self.card, content=card)

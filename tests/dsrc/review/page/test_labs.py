@@ -105,11 +105,11 @@ def test_colours_that_are_a_scale_have_a_bar(session: Session) -> None:
     for color_by, ends in (("height", ("-0.5 m", "8 m")), ("intensity", ("0", "1"))):
         session.update(color_by=color_by)
         session.wait_drawn()
-        wait_for(lambda ends=ends: all(f"<span>{end}</span>" in legend.legend.content for end in ends))
-        assert "linear-gradient" in legend.legend.content
+        wait_for(lambda ends=ends: all(f"<span>{end}</span>" in legend.text.content for end in ends))
+        assert "linear-gradient" in legend.text.content
     session.update(color_by="agent")
     session.wait_drawn()
-    wait_for(lambda: "linear-gradient" not in legend.legend.content)
+    wait_for(lambda: "linear-gradient" not in legend.text.content)
 
 
 def test_the_ego_is_named_and_others_when_they_are_selected(session: Session) -> None:

@@ -369,7 +369,7 @@ def test_an_object_is_selected_in_the_list_or_by_a_click(session: Session) -> No
     wait_for(lambda: session.state.object_id == 1003)
     details = session.wait_drawn().details
     assert details.object_id == 1003
-    wait_for(lambda: "**car 1003**" in card.content)
+    wait_for(lambda: "<b>car 1003</b>" in card.content)
     assert f"score {details.score:.2f}, IoU {details.iou:.2f}" in card.content and details.verdict == "found"
     session._select(Clicked(object_id=1004))
     assert session.wait_drawn().details.object_id == 1004
@@ -388,7 +388,7 @@ def test_a_clicked_detection_opens_its_card(session: Session) -> None:
     details = session.wait_drawn().details
     assert (details.rank, details.verdict, details.object_id) == (ghost, "false", None)
     assert details.score == pytest.approx(0.4)
-    wait_for(lambda: "**false**" in panel(session, SelectionPanel).card.content)
+    wait_for(lambda: "<b>false</b>" in panel(session, SelectionPanel).card.content)
     session.step(1)
     assert session.wait_drawn().details is None, "a place in another list of scores is another detection"
 

@@ -85,7 +85,7 @@ def test_a_log_without_its_world_says_so_and_is_shown_all_the_same(monkeypatch: 
 def test_a_contact_is_told_with_the_other_by_its_class_and_number() -> None:
     source = episode_source(crash())
     text = moment_report(source.moment(29), source.timeline(), 29)
-    assert f"**contact** with car {EGO_ID + 1} at 10.0 m/s" in text and "messages" not in text, "nobody sends any"
+    assert f"<b>contact</b> with car {EGO_ID + 1} at 10.0 m/s" in text and "messages" not in text, "nobody sends any"
 
 
 def test_the_plots_of_an_episode_have_the_gap_and_the_contact() -> None:

@@ -25,7 +25,7 @@ from sim.boxes import Boxes
 from sim.errors import DataError
 from sim.geometry import invert
 from tests.dsrc.evaluation.small import write_detector, write_drives
-from tests.dsrc.review.conftest import FakeDetector, FakeDrive, street_frame
+from tests.dsrc.review.conftest import FakeDetector, FakeDrive, cells, street_frame
 from tests.dsrc.review.shared import shared_street
 
 
@@ -64,8 +64,8 @@ def test_the_card_has_the_shares_of_what_is_selected(model: ReviewModel) -> None
             ("roadside unit 1", 0.4, 0.1),
         ]
         card = selection_report(details)
-        assert "| ego alone | 0.30 | |" in card and "| helper 1002 | -0.20 | 0.70 |" in card
-        assert "| all | 0.50 | |" in card
+        assert cells(card)[-4:-2] == [["ego alone", "0.30", ""], ["helper 1002", "-0.20", "0.70"]]
+        assert cells(card)[-1] == ["all", "0.50", ""]
     assert model.view(ReviewState(object_id=1000)).details.shares == ()
     ghost = model.method(ReviewState())
     rank = len(model._detections(ReviewState(), ghost).boxes) - 1
