@@ -141,6 +141,7 @@ class Recordings:
         self.stores = [FrameStore(source) for source in self.sources]
         self.histories = [DriveHistory(source) for source in self.sources]
         self._origin: dict[int, NDArray[np.float64]] = {}
+        self._worlds: dict[int, tuple[list[StaticPart], str]] = {}
 
     def title(self, drive: int) -> str:
         """Name of a source, after its row where another one has that name too."""
@@ -186,8 +187,16 @@ class Recordings:
         """Whether it is known who helped in a source."""
         return isinstance(self.sources[drive], SharedSource)
 
-    def static_parts(self, drive: int) -> list[StaticPart]:
-        """Static world around the agents of a drive; empty when none is known, DataError where it cannot be rebuilt."""
+    def world(self, drive: int) -> tuple[list[StaticPart], str]:
+        """Static world around the agents of a drive, made once, and why it is not drawn, "" where it is."""
+        if drive not in self._worlds:
+            try:
+                self._worlds[drive] = self._static_parts(drive), ""
+            except UserError as error:
+                self._worlds[drive] = [], str(error)
+        return self._worlds[drive]
+
+    def _static_parts(self, drive: int) -> list[StaticPart]:
         source = self.sources[drive]
         first, last = source.first, len(source) - 1
         places: list[NDArray[np.float64]] = []
@@ -197,7 +206,7 @@ class Recordings:
         if (moment := source.moment(first)) is not None:
             # A running episode has not come far.
             places += [*moment.route[::_ROUTE_STEP]]
-        return static_parts(dict(source.protocol), self.origin(drive), np.array(places, np.float64))
+        return static_parts(dict(source.protocol), self.origin(drive), np.array(places, np.float64), source.folder)
 
     def ego_id(self, state: ReviewState) -> int:
         """Id of the agent that detects under a state."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ SINK_M = 0.12
 """Depth of the drawn world below the real one, m: points on the road stay visible."""
 GROUND_SINK_M = 0.4
 """The same of the ground: from afar a browser cannot tell which of two planes some centimetres apart is in front."""
+WORLD = "world.npz"
+"""File of a drive's world, as `dsrc generate` names it."""
 _GROUND = "ground"
 
 
@@ -67,29 +70,39 @@ _OPACITY = {"buildings": 0.55}
 
 
 def static_parts(
-    protocol: dict, origin: NDArray[np.float64], places: NDArray[np.float64], radius_m: float = 160.0
+    protocol: dict,
+    origin: NDArray[np.float64],
+    places: NDArray[np.float64],
+    folder: Path | None = None,
+    radius_m: float = 160.0,
 ) -> list[StaticPart]:
-    """Rebuild the static world of a drive near the agents; empty when the drive names no scenario.
+    """Static world of a drive near the agents; empty when the drive names no scenario.
 
     Args:
         protocol: content of the drive's `data_protocol.yaml`, {} without one.
+        folder: of the drive, whose file of the world is read; where there is none the world is built again.
         origin: (3,) world position of the review frame's origin, m.
         places: (N, 2) world positions whose surroundings are drawn, m.
 
     Raises:
-        DataError: the world cannot be rebuilt: its network, SUMO or a file of it is missing.
+        DataError: the world cannot be read or built: its file is damaged, or its network, SUMO or a file is missing.
     """
     own = protocol.get("testbed")
     if not isinstance(own, dict) or "scenario" not in own:
         return []
     try:
-        mesh = _world(own["scenario"], int(own.get("seed", 0)))
+        mesh = _world(own["scenario"], int(own.get("seed", 0)), folder)
     except (UserError, ImportError, ValueError, TypeError, OverflowError) as error:
         raise DataError(f"roads and buildings are not drawn: {error}") from None
     return split_by_material(mesh, origin, places, radius_m)
 
 
-def _world(scenario: dict, seed: int) -> Any:
+def _world(scenario: dict, seed: int, folder: Path | None) -> Any:
+    # The world of a city takes a minute to build, and is another one where it is built by later code.
+    if folder is not None and (folder / WORLD).is_file():
+        from sim.world.world_file import load_world
+
+        return load_world(folder / WORLD).static
     import msgspec
 
     from sim.scenario import Scenario

@@ -65,7 +65,6 @@ class ReviewApp:
         self._using_model = threading.Lock()
         self._changed = threading.Condition()
         self._closed = False
-        self._worlds: dict[int, tuple[list[StaticPart], str]] = {}
         self._pairs: dict[str, CellPair] = {}
         set_light(server.scene)
         server.on_client_connect(self._open)
@@ -145,14 +144,8 @@ class ReviewApp:
             self.pictured.set()
 
     def _world(self, drive: int) -> tuple[list[StaticPart], str]:
-        """Return the static world of a drive, rebuilt once, and why it is not drawn, "" where it is."""
         with self._using_model:
-            if drive not in self._worlds:
-                try:
-                    self._worlds[drive] = self.model.static_parts(drive), ""
-                except UserError as error:
-                    self._worlds[drive] = [], str(error)
-            return self._worlds[drive]
+            return self.model.world(drive)
 
 
 class LivePage(contextlib.AbstractContextManager):

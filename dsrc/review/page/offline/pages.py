@@ -28,10 +28,9 @@ from dsrc.review.page.offline.overlay import (
 from dsrc.review.page.scene import SceneWriter, backdrop, place_frame, set_light, set_sky, set_start_camera
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState, Theme
-from dsrc.review.static import StaticPart
 from dsrc.review.texts import moment_report, selection_report, summary
 from dsrc.review.view import FrameView
-from sim.errors import SettingsError, UserError, complaint
+from sim.errors import SettingsError, complaint
 from sim.geometry import pose_matrix
 
 log = logging.getLogger(__name__)
@@ -169,7 +168,9 @@ def record(
             writer.write(view)
         place_frame(root, scene[0] @ _NEARLY)
         with using_model:
-            world = _world(model, drive)
+            world, note = model.world(drive)
+        if note:  # the page is complete without it
+            log.warning("%s", note)
         writer.place_world(world, theme, states[0].cut)
         serializer = server.get_scene_serializer()
         # The player's end is its beginning: it goes from there to the first time without drawing the first frame.
@@ -222,15 +223,6 @@ def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool
         for row in (history := model.histories[state.drive]).lacking():
             history.read(row)
     return texts | {"card": card, "plots": over_time(model, state, view)}
-
-
-def _world(model: ReviewModel, drive: int) -> list[StaticPart]:
-    """Static world of a drive; empty where it cannot be rebuilt: the page is complete without it."""
-    try:
-        return model.static_parts(drive)
-    except UserError as error:
-        log.warning("%s", error)
-        return []
 
 
 def _subtitle(model: ReviewModel, state: ReviewState) -> str:

@@ -96,7 +96,7 @@ def test_a_detection_of_the_ego_itself_is_no_false_one(log: EpisodeLog) -> None:
 def test_an_episode_stands_in_the_world_of_its_scenario(log: EpisodeLog) -> None:
     settings = msgspec.structs.replace(log.settings, scenario=load_scenario("ped_dartout"), seed=1)
     model = ReviewModel([episode_source(EpisodeLog(settings, log.ticks[0].actors, log.ticks, log.outcome))])
-    names = {part.name for part in model.static_parts(0)}
+    names = {part.name for part in model.world(0)[0]}
     assert {"roads", "markings", "buildings"} <= names
 
 
