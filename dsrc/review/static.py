@@ -1,6 +1,7 @@
 """Static world of a drive as coloured meshes, and unit meshes of bodies."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ GROUND_SINK_M = 0.4
 """The same of the ground: from afar a browser cannot tell which of two planes some centimetres apart is in front."""
 WORLD = "world.npz"
 """File of a drive's world, as `dsrc generate` names it."""
+AROUND_M = 160.0
+"""Distance from the agents within which the world is drawn, m."""
 _GROUND = "ground"
 
 
@@ -74,7 +77,7 @@ def static_parts(
     origin: NDArray[np.float64],
     places: NDArray[np.float64],
     folder: Path | None = None,
-    radius_m: float = 160.0,
+    radius_m: float = AROUND_M,
 ) -> list[StaticPart]:
     """Static world of a drive near the agents; empty when the drive names no scenario.
 
@@ -118,12 +121,7 @@ def split_by_material(
     from sim.mesh.materials import MATERIALS
 
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
-    corners = vertices[faces, :2]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    near = np.zeros(len(faces), bool)
-    for place in places:
-        # To the box around a face: the ground is two triangles whose middles are far from everything.
-        near |= np.hypot(*(np.clip(place, low, high) - place).T) <= radius_m
+    near = _near(vertices, faces, places, radius_m)
     part_of = {material: row for row, materials in enumerate(_PARTS.values()) for material in materials}
     part_of_material = np.array([part_of.get(material.name, len(_PARTS) - 1) for material in MATERIALS])
     group = part_of_material[np.asarray(mesh.face_attributes["material"])]
@@ -137,3 +135,26 @@ def split_by_material(
         moved = (vertices[used] - origin - [0.0, 0.0, sink]).astype(np.float32)
         parts.append(StaticPart(name, moved, flat.reshape(-1, 3).astype(np.uint32), _OPACITY.get(name)))
     return parts
+
+
+def cut_around(parts: Sequence[StaticPart], place: NDArray[np.float64], radius_m: float) -> list[StaticPart]:
+    """Parts cut to the surroundings of a place (2,) in the review frame, m."""
+    made = []
+    for part in parts:
+        used, flat = np.unique(part.faces[_near(part.vertices, part.faces, place[None], radius_m)], return_inverse=True)
+        if len(used):
+            made.append(replace(part, vertices=part.vertices[used], faces=flat.reshape(-1, 3).astype(np.uint32)))
+    return made
+
+
+def _near(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], places: NDArray[np.float64], radius_m: float
+) -> NDArray[np.bool_]:
+    """(F,) mask of the faces near places (N, 2)."""
+    corners = vertices[faces, :2]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    near = np.zeros(len(faces), bool)
+    for place in places:
+        # To the box around a face: the ground is two triangles whose middles are far from everything.
+        near |= np.hypot(*(np.clip(place, low, high) - place).T) <= radius_m
+    return near

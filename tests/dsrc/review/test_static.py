@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from dsrc.review.static import WORLD, static_parts
+from dsrc.review.static import WORLD, StaticPart, cut_around, static_parts
 from sim.catalog.load import load_scenario
 from sim.errors import DataError
 from sim.world.build import build_world
@@ -37,3 +37,17 @@ def test_a_drive_is_drawn_in_the_world_that_was_recorded_and_one_that_is_damaged
     (tmp_path / WORLD).write_bytes(b"none")
     with pytest.raises(DataError, match=r"roads and buildings are not drawn: .*world\.npz"):
         static_parts(protocol, *there, tmp_path)
+
+
+def test_a_world_is_cut_to_what_is_near_and_keeps_the_ground_below() -> None:
+    corners = np.array([[-500, -500], [500, -500], [0, 900], [90, 0], [91, 0], [90, 1]], float)
+    vertices = np.column_stack([corners, np.zeros(6)]).astype(np.float32)
+    parts = [
+        StaticPart("ground", vertices[:3], np.array([[0, 1, 2]], np.uint32)),
+        StaticPart("roads", vertices, np.array([[0, 1, 2], [3, 4, 5]], np.uint32)),
+        StaticPart("plants", vertices[3:], np.array([[0, 1, 2]], np.uint32)),
+    ]
+    cut = {part.name: part for part in cut_around(parts, np.zeros(2), 80.0)}
+    assert list(cut) == ["ground", "roads"] and len(cut["roads"].vertices) == 3
+    np.testing.assert_array_equal(cut["roads"].vertices[cut["roads"].faces[0]], vertices[:3])
+    assert len(cut_around(parts, np.zeros(2), 100.0)) == 3

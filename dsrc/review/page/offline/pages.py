@@ -28,6 +28,7 @@ from dsrc.review.page.offline.overlay import (
 from dsrc.review.page.scene import SceneWriter, backdrop, place_frame, set_light, set_sky, set_start_camera
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState, Theme
+from dsrc.review.static import AROUND_M, cut_around
 from dsrc.review.texts import moment_report, selection_report, summary
 from dsrc.review.view import FrameView
 from sim.errors import SettingsError, complaint
@@ -43,7 +44,7 @@ ROOT = "/drive"
 SHARED_FRAMES = 20
 """Frames of a shared page."""
 LARGEST = 8_000_000
-"""Size of a page above which its points are halved, bytes."""
+"""Size of a page above which its points are halved, and the distance to which its world reaches, bytes."""
 LEAST_POINTS = 2000
 """Points of a frame below which they are not halved: the rest of the page is what makes it large."""
 MAX_POINTS = 44_000
@@ -80,7 +81,7 @@ def views_html(
         UserError: a frame cannot be read.
     """
     rows = [_rows(model, state, frames) for state, _ in views]
-    points = max_points or min(MAX_POINTS, PAGE_POINTS // sum(map(len, rows)))
+    points, reach_m = max_points or min(MAX_POINTS, PAGE_POINTS // sum(map(len, rows))), AROUND_M
     while True:
         pages = []
         for (state, pose), own in zip(views, rows, strict=True):
@@ -91,11 +92,11 @@ def views_html(
             states = [replace(state, frame=row) for row in own]
             # A detection is known by its place in the list of one frame.
             states[1:] = [replace(one, detection=None) for one in states[1:]]
-            pages.append(record(model, states, pose, shared, using_model))
+            pages.append(record(model, states, pose, shared, using_model, reach_m))
         html = page_html(*pages[0], model.names[views[0][0].drive]) if len(pages) == 1 else cells_html(pages)
         if max_points is not None or len(html) <= LARGEST or points < LEAST_POINTS:
             return html
-        points //= 2
+        points, reach_m = points // 2, 0.5 * reach_m
 
 
 def picture_parts(model: ReviewModel, state: ReviewState, view: FrameView, image: NDArray[np.uint8]) -> tuple[str, str]:
@@ -136,8 +137,13 @@ def record(
     pose: CameraPose | None = None,
     shared: bool = False,
     using_model: AbstractContextManager[object] = UNSHARED,
+    reach_m: float = AROUND_M,
 ) -> tuple[str, str]:
-    """Page of a player and its overlay; arguments as of `views_html`."""
+    """Page of a player and its overlay; arguments as of `views_html`.
+
+    Args:
+        reach_m: distance from the first frame's ego to which the world is drawn.
+    """
     server = start_server()
     try:
         drive, interval_s, theme = states[0].drive, model.interval_s(states[0].drive), states[0].theme
@@ -171,6 +177,8 @@ def record(
             world, note = model.world(drive)
         if note:  # the page is complete without it
             log.warning("%s", note)
+        if reach_m < AROUND_M:
+            world = cut_around(world, first.ego.review_from_body[:2, 3], reach_m)
         writer.place_world(world, theme, states[0].cut)
         serializer = server.get_scene_serializer()
         # The player's end is its beginning: it goes from there to the first time without drawing the first frame.
