@@ -16,6 +16,7 @@ _PAVEMENT_WIDTH_M = 2.5
 _KERB_WIDTH_M = 0.15
 _KERB_HEIGHT_M = 0.10
 _GAUGE_M = 1.435
+_GRID_M = 1e-6
 
 
 def surfaces(streets: Streets) -> list[MeshPart]:
@@ -100,7 +101,8 @@ def ground(streets: Streets, walk: shapely.Geometry) -> list[MeshPart]:
     under_road = shapely.intersects(streets.road, triangles)
     stepped = under_road & (land.nodes[land.faces, 2] - terrain.nodes[terrain.faces, 2] > 1e-9).any(axis=1)
     # A triangle below a kerb is low as the gutter; what it has behind a narrow footway is high.
-    covered = shapely.union_all([streets.road, streets.rail, walk, streets.kerbs])
+    # Without a grid the union of valid shapes whose edges nearly meet may be none.
+    covered = shapely.union_all([streets.road, streets.rail, walk, streets.kerbs], grid_size=_GRID_M)
     shapely.prepare(covered)
     behind = shapely.difference(triangles[stepped][~shapely.covers(covered, triangles[stepped])], covered)
     return [
