@@ -21,6 +21,7 @@ MARGIN_M = 120.0
 """Margin of the world beyond `network.area_m`, m: the range of a sensor."""
 
 _KEPT = 2
+"""Uneven grounds kept in memory."""
 
 
 def streets_of(scenario: Scenario, seed: int) -> Streets:
@@ -41,7 +42,7 @@ def streets_of(scenario: Scenario, seed: int) -> Streets:
 def _uneven(scenario_json: bytes, seed: int) -> Streets:
     scenario = msgspec.json.decode(scenario_json, type=Scenario)
     streets = _level(scenario, seed)
-    if scenario.conflict is None:  # whose road users may leave their lanes
+    if scenario.conflict is None:  # road users of an encounter may leave their lanes
         axes = swept_axes(streets)
         streets = with_islands(with_swept(streets, axes), axes)
     paved = pavement(streets)

@@ -18,7 +18,8 @@ from sim.traffic.sumo.motion import BodyMotion
 from sim.world.roads.streets import Lane, Streets, heading
 
 _LONG_M, _WIDE_M = np.array([6.0, 12.0, 16.5]), 2.6
-"""Lengths of vehicles, m, the longest that of articulated ones (directive 96/53/EC), and width of the widest, m."""
+"""Lengths of vehicles, m, the longest that of articulated ones (directive 96/53/EC), and width of the widest
+without its mirrors, m."""
 _BEHIND_M, _AHEAD_M, _STEP_M, _MEET_M = 16.5, 35.0, 1.0, 0.3
 """Lengths of their ways before and behind a lane in a junction, distance of their places along these, and distance
 within which lanes go on, m."""
