@@ -72,7 +72,7 @@ def list_drives(root: Path) -> list[Path]:
     if not found:
         expected = (
             "an OPV2V tree (drive/agent/000000.yaml), a DAIR-V2X-C one (cooperative/data_info.json), or"
-            " sweeps: KITTI, nuScenes, Argoverse 2, OpenLABEL, bags, folders of scans"
+            " sweeps: KITTI, nuScenes, Argoverse 2, OpenLABEL, bags, folders of scans (.bin, .pcd, .ply, .npy)"
         )
         raise DataError(complaint(root, "folder", expected, "none"))
     return found

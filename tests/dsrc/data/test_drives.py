@@ -165,7 +165,10 @@ def test_clouds_in_bin_beside_annotations_are_named_as_v2x_reals(tmp_path: Path)
 
 
 def test_a_folder_without_drives_names_the_formats(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"expected an OPV2V tree .*, a DAIR-V2X-C one .*, or sweeps"):
+    with pytest.raises(
+        DataError,
+        match=r"expected an OPV2V tree .*, a DAIR-V2X-C one .*, or sweeps: .* scans \(\.bin, \.pcd, \.ply, \.npy\)",
+    ):
         list_drives(tmp_path)
     with pytest.raises(DataError, match="nowhere: no such folder"):
         list_drives(tmp_path / "nowhere")
