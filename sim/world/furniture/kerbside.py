@@ -29,7 +29,9 @@ class _Places:
     """Free ground: off lanes, buildings and other objects."""
 
     def __init__(self, streets: Streets, footprint: shapely.Geometry, units: Array) -> None:
-        self.road = shapely.union_all([streets.road, streets.rail, streets.swept])
+        self.road = streets.road | streets.rail
+        if not streets.swept.is_empty:  # worlds of version 1 keep their bytes
+            self.road |= streets.swept
         self.walk = streets.walk
         self.footprint = footprint
         self.frame = shapely.box(*streets.window)

@@ -49,7 +49,9 @@ def pavement(streets: Streets) -> shapely.Geometry:
     ]
     strips.append(streets.bays.buffer(_PAVEMENT_WIDTH_M, join_style="mitre"))
     around = shapely.unary_union(strips).buffer(0.2).buffer(-0.2) & shapely.box(*streets.window)
-    around = shapely.union_all([around, streets.islands, streets.swept])
+    for more in (streets.islands, streets.swept):
+        if not more.is_empty:  # worlds of version 1 keep their bytes
+            around |= more
     return ((around | streets.walk) - streets.road - streets.rail).simplify(0.05).buffer(0)
 
 

@@ -61,7 +61,7 @@ def test_missing_recorded_detections_are_said_and_nothing_is_judged(
     assert len(missing.layers[DETECTED_TRUTH]) == 5
     foggy = two.view(replace(FOG, methods=("weak",)))
     assert foggy.notice == "weak has no detections in fog 3; it has them in clean."
-    assert two.view(STATE).notice == "" and two.counts(replace(STATE, frame=9, methods=("weak",))) is None
+    assert two.view(STATE).notice == "" and two.view(replace(STATE, frame=9, methods=("weak",))).counts is None
 
 
 def test_an_unknown_method_is_one_line(two: ReviewModel) -> None:
@@ -77,7 +77,8 @@ def test_the_index_is_of_the_known_frames_and_grows_with_them(two: ReviewModel) 
         name: np.count_nonzero((errors.kind == FN) & (errors.method == row)) for row, name in enumerate(index.runs)
     }
     assert missed == {
-        name: sum(two.counts(replace(STATE, frame=row, methods=(name,))).fn for row in range(4)) for name in index.runs
+        name: sum(two.view(replace(STATE, frame=row, methods=(name,))).counts.fn for row in range(4))
+        for name in index.runs
     }
     two.view(replace(STATE, frame=7))
     assert len(two.index(STATE).runs[DETECTOR].table) == 5
