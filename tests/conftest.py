@@ -1,4 +1,4 @@
-"""Property tests draw the same examples in every run; `make test-explore` draws new ones."""
+"""Property tests draw the same few examples in every run; `make test-explore` draws more, and new ones."""
 
 import inspect
 import re
@@ -11,7 +11,7 @@ from hypothesis import settings
 AT_IMPORT = re.compile(r"^\S.*\bimportorskip\(", re.MULTILINE)
 """An optional package that all tests of a file need."""
 
-settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("steady", derandomize=True, deadline=None, max_examples=40)
 settings.register_profile("explore", deadline=None, print_blob=True)
 settings.load_profile("steady")
 

@@ -37,7 +37,15 @@ def test_an_example_is_short_and_says_how_to_use_it(script: Path) -> None:
     assert doc.splitlines()[0] in run_script(script, "--help").stdout
 
 
-@pytest.mark.parametrize("script", EXAMPLES, ids=lambda path: path.stem)
+LONGER = ("12_highway_env_driver", "13_driver_process")
+"""Examples that take more than five seconds even so."""
+
+
+@pytest.mark.parametrize(
+    "script",
+    [pytest.param(path, marks=pytest.mark.slow) if path.stem in LONGER else path for path in EXAMPLES],
+    ids=lambda path: path.stem,
+)
 def test_an_example_runs_with_small_settings(script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     arguments, printed = SMALL[script.stem]

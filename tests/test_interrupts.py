@@ -40,6 +40,8 @@ VERBS = {
     "train": ("model", "train", "debug", "--data", "data", "--out", "run{n}", "--epochs", "500"),
     "view": ("view", "data", "--out", "page{n}.html"),
 }
+QUICK = {*((verb, 0.6) for verb in VERBS if verb != "train"), ("workers", 0.0)}
+"""Verbs and delays of the quick tests."""
 ANEW = {"view"}
 """Verbs that keep nothing of what they have done."""
 
@@ -57,9 +59,7 @@ def wait_for_handlers(process: subprocess.Popen) -> None:
 @pytest.mark.parametrize(
     ("verb", "delay_s"),
     [
-        pytest.param(
-            verb, delay_s, marks=() if delay_s == 0.6 or (verb, delay_s) == ("workers", 0.0) else pytest.mark.slow
-        )
+        pytest.param(verb, delay_s, marks=() if (verb, delay_s) in QUICK else pytest.mark.slow)
         for verb in VERBS
         for delay_s in (0.0, 0.6, 2.5)
     ],
@@ -144,7 +144,9 @@ def test_a_closed_standard_error_is_no_stack_trace() -> None:
         ("dataset", "convert", "{data}", "--to", "mcap", "--out", "{out}"),
         ("model", "import", "{detector}", "--out", "{out}/x.pt"),
         ("view", "{data}", "--out", "{out}/page.html", "--frames", "1"),
-        ("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "1"),
+        pytest.param(
+            ("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "1"), marks=pytest.mark.slow
+        ),
         ("dataset", "card", "{data}", "--out", "{out}"),
     ],
 )

@@ -234,13 +234,17 @@ def _shapes(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
         return np.zeros((0, 2))
     chosen = np.random.default_rng(seed).choice(len(points), min(_LOOKED_AT, len(points)), replace=False)
     around = cKDTree(points).query_ball_point(points[chosen], _AROUND_M)
-    shapes = []
-    for rows in around:
-        if len(rows) >= _FEWEST_AROUND:
-            values = np.linalg.eigvalsh(np.cov(points[rows].T))
-            least = max(values[0], 0.0)
-            shapes.append((least / max(values.sum(), 1e-9), np.sqrt(least)))
-    return np.array(shapes).reshape(-1, 2)
+    around = [rows for rows in around if len(rows) >= _FEWEST_AROUND]
+    if not around:
+        return np.zeros((0, 2))
+    near, counts = points[np.concatenate(around)], np.array([len(rows) for rows in around])
+    starts = np.cumsum(counts) - counts
+    mean = np.add.reduceat(near, starts) / counts[:, None]
+    near -= mean.repeat(counts, axis=0)
+    spread = np.add.reduceat(near[:, :, None] * near[:, None], starts) / (counts - 1)[:, None, None]
+    values = np.linalg.eigvalsh(spread)
+    least = np.maximum(values[:, 0], 0.0)
+    return np.column_stack([least / np.maximum(values.sum(axis=1), 1e-9), np.sqrt(least)])
 
 
 def _few(sample: NDArray[np.floating]) -> NDArray[np.float64]:

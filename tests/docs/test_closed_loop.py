@@ -19,10 +19,11 @@ def campaigns() -> dict[str, CampaignResult]:
 
 
 def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
+    found = campaigns()
     page = PAGE.read_text(encoding="utf-8")
     blocks = {
         f"{folder}/{section.name}": section.markdown(Path("report") / folder)
-        for folder, result in campaigns().items()
+        for folder, result in found.items()
         for section in sections(result)
     }
     block = re.compile(r"<!-- begin (\S+/\S+) -->\n(.*?)\n<!-- end \1 -->", re.DOTALL)
@@ -43,7 +44,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
     quoted = [[one for one in shown if one[0].partition("/")[0] in published] for shown in quoted]
     assert all(quoted) and all(shown == blocks[name] for name, shown in sum(quoted, places))
     for folder in published:
-        result = campaigns()[folder]
+        result = found[folder]
         assert (PAGE.with_suffix("") / folder / "report.md").read_text(encoding="utf-8") == markdown(result)
         shipped = tuple(msgspec.structs.replace(one, checkpoint="") for one in result.plan.perceptions)
         jobs = episodes_of(msgspec.structs.replace(result.plan, perceptions=shipped))

@@ -29,9 +29,12 @@ from sim.errors import TrafficError
 from sim.scenario import Scenario
 from sim.traffic.base import Actors
 from sim.traffic.script import FIRST_ID
+from tests.dsrc.closed_loop.driving.test_gate import QUICK
 from tests.paths import ROOT
 
 SEED = 1
+KINDS = [kind if kind in QUICK else pytest.param(kind, marks=pytest.mark.slow) for kind in ENCOUNTERS]
+"""Encounters, most of them in the slow tests."""
 
 
 class Blind:
@@ -72,7 +75,7 @@ def drive(name: str, perception: Perception | None = None, driver: Driver | None
     return loop
 
 
-@pytest.mark.parametrize("kind", ENCOUNTERS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_blind_ego_meets_the_crash_that_a_warned_one_avoids(kind: str) -> None:
     blind = drive(kind, Blind(), BrakeAt(np.inf))
     assert blind.outcome is Outcome.CRASHED
@@ -84,7 +87,7 @@ def test_a_blind_ego_meets_the_crash_that_a_warned_one_avoids(kind: str) -> None
     assert warned.outcome is not Outcome.CRASHED
 
 
-@pytest.mark.parametrize("kind", ENCOUNTERS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_driver_arrives_with_the_truth(kind: str) -> None:
     assert drive(kind).outcome is Outcome.ARRIVED
 

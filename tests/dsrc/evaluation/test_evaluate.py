@@ -191,6 +191,7 @@ def test_what_the_sweeps_do_not_take_is_left_out_of_a_group_or_refused_before_th
     assert {row.method for row in rows} == {"plain"}  # one agent is the ego alone already
 
 
+@pytest.mark.slow
 def test_results_that_are_replaced_are_named(world: Path, caplog: pytest.LogCaptureFixture) -> None:
     clean = {"corruption": ("clean",), "ego_alone": False}
     evaluate_drives(config_of(world, "again", **clean))

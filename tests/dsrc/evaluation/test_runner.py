@@ -183,6 +183,7 @@ def test_two_processes_find_what_one_does(done: tuple[Path, BenchmarkResult], pl
     assert files(root / "two") == whole
 
 
+@pytest.mark.slow
 def test_units_of_few_frames_give_the_same_rows(
     done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -134,7 +134,7 @@ def haunted() -> EpisodeLog:
     return driven("ima_building", "ghost")
 
 
-@pytest.mark.parametrize("scenario", ["ima_building", "ped_dartout"])
+@pytest.mark.parametrize("scenario", ["ima_building", pytest.param("ped_dartout", marks=pytest.mark.slow)])
 def test_a_defence_without_an_attack_refuses_no_one(scenario: str) -> None:
     log = driven(scenario, defence=ALL)
     found = lie_metrics(log)
@@ -142,6 +142,7 @@ def test_a_defence_without_an_attack_refuses_no_one(scenario: str) -> None:
     assert found.helpers_honest >= 2 and found.helpers_wronged == found.true_refused == found.needless_stops == 0
 
 
+@pytest.mark.slow
 def test_a_defence_without_an_attack_changes_nothing(undisturbed: EpisodeLog) -> None:
     assert percepts(driven("ima_building", defence=ALL)) == percepts(undisturbed)
 
@@ -165,6 +166,7 @@ def test_free_space_lets_it_drive_through_the_ghost() -> None:
     assert found.false_refused > 0.9 * found.false_told and found.true_refused == 0.0
 
 
+@pytest.mark.slow
 def test_two_runs_and_a_replay_are_the_same(tmp_path: Path, haunted: EpisodeLog) -> None:
     first, second = haunted.save(tmp_path / "a.npz"), driven("ima_building", "ghost").save(tmp_path / "b.npz")
     assert first.read_bytes() == second.read_bytes()

@@ -48,7 +48,7 @@ def test_shares_of_what_stands_and_is_scattered_are_real(place: str) -> None:
         scene, streets = RayScene(build_world(scenario, 1)), streets_of(scenario, 1)
         spec, nobody = get_lidar("vlp-32c"), Boxes.from_array(np.zeros((0, 7)), [], [])
         samples = []
-        for pose in _poses(streets, 8):
+        for pose in _poses(streets, 5):
             sweep = scan(scene, spec, pose, pose, 0.0, np.random.default_rng(0))
             samples.append(figures_of(sweep, nobody))
         assert len(samples) >= 4

@@ -48,7 +48,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("bfloat16", "window"),
     [
         (False, 1.0),
-        (True, 0.5),
+        pytest.param(True, 0.5, marks=pytest.mark.slow),
         pytest.param(False, 0.5, marks=pytest.mark.slow),
         pytest.param(True, 1.0, marks=pytest.mark.slow),
     ],

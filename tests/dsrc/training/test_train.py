@@ -36,7 +36,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("attention", {"epoch_frames": 2, "ema": 0.9, "half": False}),
         ("attention", {"keep": "best", "validation_share": 0.25, "half": False}),
-        ("cobevt", {}),  # draws while it trains
+        pytest.param("cobevt", {}, marks=pytest.mark.slow),  # draws while it trains
         ("max", {"consistency": 1.0, "augmentation": Augmentation(corruption=0.7, kinds=("noise", "point_dropping"))}),
     ],
 )

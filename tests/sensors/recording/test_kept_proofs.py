@@ -33,6 +33,7 @@ def not_again(*_: object, **__: object) -> None:
     raise AssertionError("proven again")
 
 
+@pytest.mark.slow
 def test_another_process_proves_an_encounter_for_all_later_ones(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

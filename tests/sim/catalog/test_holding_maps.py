@@ -55,7 +55,7 @@ def holds(folder: Path, seed: int) -> None:
     assert len(recording.frame(0).agents) == 3
 
 
-@pytest.mark.parametrize("speed_mps", [13.9, 30.0])
+@pytest.mark.parametrize("speed_mps", [13.9, pytest.param(30.0, marks=pytest.mark.slow)])
 def test_a_road_without_a_junction_along_an_axis_has_traffic(tmp_path: Path, speed_mps: float) -> None:
     made = import_map(road(tmp_path, 800.0, speed_mps), out=tmp_path / "made", seeds=(1, 2))
     x_min, y_min, x_max, y_max = load_scenario(made).network.area_m or (0.0,) * 4
@@ -68,6 +68,7 @@ def test_a_street_alone_of_openstreetmap_is_kept(tmp_path: Path) -> None:
     holds(import_map(tmp_path / "street.osm", out=tmp_path / "made", seeds=(1, 2)), 1)
 
 
+@pytest.mark.slow
 def test_trips_begin_and_end_inside_a_closed_town(tmp_path: Path) -> None:
     net = grid(tmp_path)
     routes = candidate_routes(read_network(net), "passenger", None, None)

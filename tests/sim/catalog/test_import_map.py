@@ -286,11 +286,18 @@ def test_an_opendrive_file_comes_back_as_the_streets_it_was_written_from(tmp_pat
         assert (~traffic.actors.parked()).sum() > 3
 
 
-def test_the_command_makes_a_folder_that_generate_takes(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+@pytest.mark.slow
+def test_the_command_tries_ten_seeds_and_says_what_takes_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     (tmp_path / "town.osm").write_text(town(), encoding="utf-8")
     main(["scenario", "import", str(tmp_path / "town.osm"), "--out", str(tmp_path / "x")])
     assert f"dsrc generate {tmp_path / 'x'}" in capsys.readouterr().err
-    scenario = load_scenario(tmp_path / "x")
+    assert load_scenario(tmp_path / "x").name == "x"
+
+
+def test_generate_takes_the_folder(folder: Path, tmp_path: Path) -> None:
+    scenario = load_scenario(folder)
     agents = msgspec.structs.replace(scenario.agents, lidar="debug-16")
     drive = generate(msgspec.structs.replace(scenario, agents=agents), tmp_path / "data", frames=2)
     assert len(list(drive.glob("*/000001.pcd"))) >= 3

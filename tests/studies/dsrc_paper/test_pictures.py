@@ -314,6 +314,7 @@ def test_all_maps_have_one_scale_and_one_colour_bar(drawn_frames: list[DrawnFram
     assert [panel.get_ylabel() for panel in panels[:, 0]] == ["LiDAR points of\nall agents", "student", "twice"]
 
 
+@pytest.mark.slow
 def test_figures_6_and_8_are_written_with_what_made_them(plan: Benchmark, teacher: str, tmp_path: Path) -> None:
     drawn = replace(plan, corruption=("clean",), frames=2, pictures=dict(teacher=teacher, percentiles=(50,)))
     result = run_plan(drawn, tmp_path)

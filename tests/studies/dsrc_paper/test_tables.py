@@ -95,6 +95,7 @@ def test_notes_mark_the_lines_of_their_methods_in_the_papers_tables() -> None:
     assert [c.title for c in three.columns] == ["Maximum", "Maximum + DSRC", "Attention", "Attention + DSRC †."]
 
 
+@pytest.mark.slow
 def test_the_papers_tables_take_their_places_in_a_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "write_pictures", lambda result, writer: None)
     result = outcome_of(dict.fromkeys(METHODS, 1), name="Small", family=("physical", "paper"))

@@ -24,7 +24,13 @@ SMALL = {
 }
 
 
-@pytest.mark.parametrize("name", SMALL)
+LONGER = ("pictures.channel", "pictures.corruptions", "pictures.lidar_realism", "pictures.places")
+"""Studies that take more than four seconds even so."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONGER else name for name in SMALL]
+)
 def test_a_study_draws_in_seconds_on_a_small_setting(name: str, tmp_path: Path) -> None:
     printed = study(name, "--out", str(tmp_path), *SMALL[name])
     pictures = list(tmp_path.glob("*.png"))
@@ -74,6 +80,7 @@ def test_the_table_of_weather_takes_the_place_of_the_one_before(tmp_path: Path) 
     assert scattered[-1] > 1.5 * scattered[0] > 0.0
 
 
+@pytest.mark.slow
 def test_snow_is_taken_apart_for_any_detector_and_drives(tmp_path: Path) -> None:
     drives = write_drives(tmp_path / "data")
     detector = write_detector(tmp_path / "detector.pt", "attfuse")

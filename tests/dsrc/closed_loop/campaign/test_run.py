@@ -181,6 +181,7 @@ def test_options_that_would_do_nothing_are_refused(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_other_workers_give_the_same_results(driven: Path, tmp_path: Path) -> None:
     run_campaign(PLAN, tmp_path, Pool(workers=2))
     assert (tmp_path / "results.csv").read_bytes() == (driven / "results.csv").read_bytes()
@@ -290,6 +291,7 @@ def test_crashes_that_the_careful_driver_avoids_are_avoidable(tmp_path: Path) ->
     assert (tmp_path / "careful.csv").is_file()
 
 
+@pytest.mark.slow
 def test_an_estimate_counts_all_that_is_missing(tmp_path: Path) -> None:
     plan = replace(PLAN, controls=True, careful=True, clean_seeds=1)
     episodes, seconds = runner.estimate_s(plan, tmp_path, Pool())

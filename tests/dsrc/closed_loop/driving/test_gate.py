@@ -68,7 +68,8 @@ def test_in_traffic_it_crashes_into_nobody_and_keeps_up_with_sumos_own_driver(na
     check_road(name, 0, 15.0, 0.8)
 
 
-@pytest.mark.parametrize("name", [pytest.param("merge", marks=pytest.mark.slow), "roundabout"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["merge", "roundabout"])
 def test_on_roads_of_highway_env_too(name: str) -> None:
     check_road(f"highway_env_{name}", 0, 15.0, 0.8)
 

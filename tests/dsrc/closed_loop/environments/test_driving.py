@@ -47,7 +47,9 @@ def drive(env: DrivingEnv, action: Any, steps: int = 400) -> list[tuple]:
     return taken
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize(
+    "name", [name if "Free" in name else pytest.param(name, marks=pytest.mark.slow) for name in ENVIRONMENTS]
+)
 def test_gymnasium_finds_nothing_to_complain_about(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -264,7 +266,10 @@ def free(scenario: str, action: list[float], steps: int = 150) -> DrivingEnv:
     return env
 
 
-@pytest.mark.parametrize("scenario", ["ima_building:no_conflict", "four_way", "highway_env_two_way"])
+@pytest.mark.parametrize(
+    "scenario",
+    ["ima_building:no_conflict", "four_way", pytest.param("highway_env_two_way", marks=pytest.mark.slow)],
+)
 def test_an_ego_that_steers_off_the_road_has_left_it_or_hit_something(scenario: str) -> None:
     env = free(scenario, [0.0, 0.3])
     assert env.loop.outcome in (Outcome.LEFT, Outcome.CRASHED)

@@ -28,7 +28,9 @@ def colours(picture: np.ndarray) -> set[tuple[int, int, int]]:
     return set(map(tuple, picture.reshape(-1, 3).tolist()))
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize(
+    "name", [name if "Free" in name else pytest.param(name, marks=pytest.mark.slow) for name in ENVIRONMENTS]
+)
 def test_a_picture_has_the_ego_in_its_middle_the_road_and_the_tracks(name: str) -> None:
     env = gym.make(name, scenario="ima_building", render_mode="rgb_array", disable_env_checker=True)
     env.reset(seed=3)

@@ -15,6 +15,9 @@ from dsrc.messages.message import near_any
 from sim.errors import SettingsError
 from tests.dsrc.evaluation.fakes import PointCounter
 
+TICKS = 9
+"""Instants of the episode that are perceived, 0.1 s apart."""
+
 
 @pytest.fixture(scope="module")
 def loop() -> ClosedLoop:
@@ -27,7 +30,7 @@ def percepts(loop: ClosedLoop, text: str, channel: str) -> list[Percept]:
     eyes: Any = open_perception(text, channel=channel)
     assert isinstance(eyes, DetectorPerception)
     eyes.reset(loop.scenario, loop.ego_id, 1)
-    actors = [tick.actors for tick in loop.ticks[-16:]]
+    actors = [tick.actors for tick in loop.ticks[-TICKS:]]
     return [eyes.perceive(before, now, {}) for before, now in pairwise(actors)]
 
 

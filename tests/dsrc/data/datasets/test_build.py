@@ -73,6 +73,7 @@ def test_a_dataset_has_its_splits_its_manifest_and_its_cards(made: Path) -> None
     assert len({entry.key for entry in manifest.items}) == 3
 
 
+@pytest.mark.slow
 def test_two_workers_write_the_same_bytes_as_one(made: Path, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     generate_dataset(write(tmp_path), tmp_path / "out", pool=Pool(2), progress=lambda *p: seen.append(p))
@@ -91,6 +92,7 @@ def test_a_finished_dataset_is_left_alone_and_a_lost_file_is_made_again(made: Pa
     assert {path for path in when if again[path] != when[path]} <= set(lost.parent.parent.glob("*/000001.pcd"))
 
 
+@pytest.mark.slow
 def test_one_split_alone_leaves_the_entries_of_the_others(made: Path, tmp_path: Path) -> None:
     for split in ("test", "train"):
         generate_dataset(write(tmp_path), tmp_path / "out", splits=(split,), pool=Pool(1))

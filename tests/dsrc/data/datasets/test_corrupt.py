@@ -82,6 +82,7 @@ def test_settings_of_the_severity_can_be_changed(data: Path, tmp_path: Path) -> 
     assert not (tmp_path / "wrong").exists()
 
 
+@pytest.mark.slow
 def test_the_papers_snow_takes_its_sensors_calibration_from_the_command_line(data: Path, tmp_path: Path) -> None:
     focus = tmp_path / "hdl64.npz"
     np.savez(focus, focal_distance_m=np.full(64, 10.0), focal_slope=np.ones(64), min_intensity=np.zeros(64))

@@ -76,6 +76,7 @@ def test_agents_are_chosen_by_id_and_sensors_by_mounting(drive: Path, tmp_path: 
         render(drive, tmp_path, Changes(vehicles=1, frames=1))
 
 
+@pytest.mark.slow
 def test_a_folder_of_drives_keeps_its_names_and_bytes_with_two_workers(drive: Path, tmp_path: Path) -> None:
     source = tmp_path / "data"
     for split in ("train", "test"):

@@ -219,6 +219,7 @@ def test_the_map_has_a_number_per_difference_and_a_colour_where_it_is_resolved(t
             assert np.sign(round(blue - red, 6)) == (np.sign(gain) if one.resolved else 0)
 
 
+@pytest.mark.slow
 def test_a_page_sums_up_many_pairs_and_links_the_whole_table(tmp_path: Path) -> None:
     write_drives(tmp_path / "test")
     methods = {name: [(method, 0)] for name, method in (("DSRC", "dsrc"), ("plain", "attfuse"), ("late", "late"))}

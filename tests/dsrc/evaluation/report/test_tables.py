@@ -228,6 +228,7 @@ def test_each_family_of_corruptions_has_its_own_table_1() -> None:
     assert "Severity 3 of the published models." in paper.note and "Severity 3. " in physical.note
 
 
+@pytest.mark.slow
 def test_a_report_of_all_methods_is_written_and_put_into_a_document(tmp_path: Path) -> None:
     result = outcome_of(dict.fromkeys(METHODS, 1), name="Small", severity=(1, 3), sweeps=ParameterSweeps(agents=(1, 2)))
     out, document = tmp_path / "out", tmp_path / "docs" / "results.md"

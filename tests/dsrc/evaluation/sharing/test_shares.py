@@ -218,27 +218,28 @@ def test_shares_are_the_same_again_and_limits_hold(world: Path) -> None:
         share_drives(Sharing(checkpoint=world / "net.pt", data=world / "test", out=world, severity=9))
 
 
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_an_interrupted_run_resumes_with_the_same_bytes_for_any_workers(
-    world: Path, monkeypatch: pytest.MonkeyPatch
+    world: Path, workers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(drives, "CHUNK", 1)
+    out = world / f"resumed_{workers}"
     options = ["--corruption", "fog", "--checkpoint", str(world / "net.pt")]
 
-    def files(out: str, workers: int) -> dict[str, bytes]:
-        main(["shares", str(world / "test"), "--out", str(world / out), *options, "--workers", str(workers)])
-        return {path.name: path.read_bytes() for path in (world / out).rglob("*") if path.is_file()}
+    def files(workers: int) -> dict[str, bytes]:
+        main(["shares", str(world / "test"), "--out", str(out), *options, "--workers", str(workers)])
+        return {path.name: path.read_bytes() for path in (out).rglob("*") if path.is_file()}
 
-    whole = files("serial", 1)
-    cells = sorted((world / "serial" / "cells").iterdir())
+    whole = files(1)
+    cells = sorted((out / "cells").iterdir())
     assert len(cells) == 4  # two chunks, clean and in fog
     cells[0].unlink()
     cells[1].write_bytes(cells[1].read_bytes()[:-20])
     kept = {path: path.stat().st_mtime_ns for path in cells[2:]}
-    assert files("serial", 1) == whole  # its own files may be replaced
+    assert files(workers) == whole  # its own files may be replaced
     assert {path: path.stat().st_mtime_ns for path in cells[2:]} == kept
-    assert files("parallel", 2) == whole
     rows = share_drives(
-        Sharing(checkpoint=world / "net.pt", data=world / "test", out=world / "serial", corruption=("fog",)),
+        Sharing(checkpoint=world / "net.pt", data=world / "test", out=out, corruption=("fog",)),
         progress=lambda done, total: pytest.fail("computed again") if total else None,
     )
     places = [(row.frame, row.condition) for row in rows]

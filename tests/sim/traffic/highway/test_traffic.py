@@ -79,7 +79,13 @@ def soon(name: str) -> Scenario:
     return msgspec.structs.replace(scenario_of(name), warmup_s=2.0)
 
 
-@pytest.fixture(scope="module", params=PLACES)
+QUICK = ("merge", "intersection")
+"""Places of the quick tests: one on which lanes end, one with traffic from all sides."""
+
+
+@pytest.fixture(
+    scope="module", params=[one if one in QUICK else pytest.param(one, marks=pytest.mark.slow) for one in PLACES]
+)
 def run(request: pytest.FixtureRequest) -> tuple[str, list[Actors]]:
     with HighwayTraffic(scenario_of(request.param), 3) as traffic:
         return request.param, [traffic.actors] + [traffic.step() for _ in range(STEPS)]
@@ -300,7 +306,6 @@ def test_where_overtakers_drive_is_a_lane() -> None:
     ("name", "cars"),
     [
         ("merge", 1),
-        ("roundabout", 1),
         *(pytest.param(name, 3, marks=pytest.mark.slow) for name in PLACES),
     ],
 )

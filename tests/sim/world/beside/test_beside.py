@@ -93,6 +93,7 @@ def test_footways_stay_passable(name: str) -> None:
     assert not shapely.intersects(middle, _flat(solid)).any()
 
 
+@pytest.mark.slow
 def test_one_seed_gives_one_world() -> None:
     first, again = world_of("rilsa_1"), build_world(furnished("rilsa_1"), 1)
     assert np.array_equal(first.vertices, again.vertices) and np.array_equal(first.faces, again.faces)
@@ -100,7 +101,7 @@ def test_one_seed_gives_one_world() -> None:
     assert first.vertices.shape != other.vertices.shape
 
 
-@pytest.mark.parametrize("name", ["ima_building", "cyclist_right_hook"])
+@pytest.mark.parametrize("name", ["ima_building", pytest.param("cyclist_right_hook", marks=pytest.mark.slow)])
 def test_encounters_keep_their_ground_clear(name: str) -> None:
     scenario = msgspec.structs.replace(load_scenario(name), world=2)
     mesh = build_world(scenario, 1)
@@ -114,6 +115,7 @@ def test_encounters_keep_their_ground_clear(name: str) -> None:
     assert not near.any()
 
 
+@pytest.mark.slow
 def test_density_0_leaves_what_a_bare_world_has() -> None:
     scenario = furnished("rilsa_1")
     bare = msgspec.structs.replace(scenario, network=msgspec.structs.replace(scenario.network, beside=0.0))

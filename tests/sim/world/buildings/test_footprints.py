@@ -98,6 +98,7 @@ def test_walls_and_roof_close_over_the_ground(streets: Streets) -> None:
     assert len(open_edges) > 50 and (corners[open_edges.ravel(), 2] == -0.6).all()
 
 
+@pytest.mark.slow
 def test_the_world_of_the_shipped_scenario_shows_them(scenario: Scenario, streets: Streets) -> None:
     mesh, again, other = build_world(scenario, 1), build_world(scenario, 1), build_world(scenario, 2)
     assert np.array_equal(mesh.vertices, again.vertices) and np.array_equal(mesh.faces, again.faces)

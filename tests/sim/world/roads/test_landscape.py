@@ -28,6 +28,11 @@ def scenario(name: str = "four_way") -> Scenario:
 
 
 @pytest.fixture(scope="module")
+def world() -> trimesh.Trimesh:
+    return build_world(scenario(), 1)
+
+
+@pytest.fixture(scope="module")
 def town() -> Streets:
     return streets_of(scenario(), 1)
 
@@ -134,8 +139,8 @@ def test_unpaved_ground_is_rough_and_paved_ground_smooth(town: Streets) -> None:
     assert len(road) > 2000 and residual(np.column_stack([road, town.height(road)])) < 0.2 * ROUGH_M
 
 
-def test_the_ground_lies_below_what_it_carries_and_the_world_is_closed(town: Streets) -> None:
-    mesh = build_world(scenario(), 1)
+def test_the_ground_lies_below_what_it_carries_and_the_world_is_closed(town: Streets, world: trimesh.Trimesh) -> None:
+    mesh = world
     assert town.land is not None
     for name, field, lift in (
         ("asphalt", town.terrain, 0.0),
@@ -217,9 +222,11 @@ def test_footways_lie_a_kerb_above_the_gutter_and_less_where_people_and_cars_pas
     assert np.quantile(dropped, 0.9) < 0.5 * (DROPPED_M + KERB_M)
 
 
-def test_from_above_the_kerb_ends_at_the_footway_and_the_wall_between_is_closed(town: Streets) -> None:
+def test_from_above_the_kerb_ends_at_the_footway_and_the_wall_between_is_closed(
+    town: Streets, world: trimesh.Trimesh
+) -> None:
     assert town.land is not None
-    mesh, rng = build_world(scenario(), 1), np.random.default_rng(0)
+    mesh, rng = world, np.random.default_rng(0)
     border = within(
         town, shapely.get_coordinates(shapely.segmentize(town.road.boundary & town.kerbs.buffer(0.01), 1.0))
     )

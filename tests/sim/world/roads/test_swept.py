@@ -120,5 +120,6 @@ def test_wide_junctions_have_islands_that_no_lane_leads_over_and_no_vehicle_stan
         assert shapely.area(shapely.intersection(bodies, islands)).max(initial=0.0) < 0.01
 
 
+@pytest.mark.slow
 def test_encounters_keep_their_junctions_free_of_islands() -> None:
     assert streets_of(uneven("braunschweig_lta_truck"), 1).islands.is_empty
