@@ -27,8 +27,9 @@ import tyro
 from benchmarks.quiet import others_s
 from benchmarks.street import BENCHMARK_LIDAR
 from dsrc.data.checksums import Written
+from dsrc.data.drive_folder import TRAFFIC_LOG, WORLD
 from dsrc.data.formats.opv2v.reader import CLOUDS, Clouds, write_frame
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD, SimulatedDrive, open_simulated
+from dsrc.data.simulate import SimulatedDrive, open_simulated
 from dsrc.data.write import DriveSpec
 from dsrc.runs.executors import Executor, ProcessExecutor, Progress, RayExecutor
 from dsrc.tables.table import Table

@@ -1,4 +1,4 @@
-"""Folder of a drive while it is being written: its protocol, its complete frames."""
+"""Folder of a drive while it is being written: its files, its protocol, its complete frames."""
 
 import math
 from collections.abc import Sequence
@@ -9,6 +9,10 @@ from dsrc.data.formats.opv2v.reader import PROTOCOL, Clouds, frame_files
 from dsrc.data.formats.yaml import emit, read_yaml
 from sim.errors import DataError, complaint
 from sim.files import write_file
+
+TRAFFIC_LOG = "traffic.npz"
+WORLD = "world.npz"
+"""File of the static world, beside the traffic log."""
 
 
 def write_protocol(drive: Path, protocol: dict) -> None:

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.drive_folder import TRAFFIC_LOG, WORLD
 from sensors.frame import Frame
 from sensors.recording.record import Recording, record
 from sim.errors import DataError, complaint
@@ -26,9 +27,6 @@ PLAN_S = 3.0
 PLAN_STEP_S = 0.5
 REACH_M = 350.0
 """Margin of the logged area around the area of the agents: farther than any sensor sees."""
-TRAFFIC_LOG = "traffic.npz"
-WORLD = "world.npz"
-"""File of the static world, beside the traffic log."""
 
 _log = logging.getLogger(__name__)
 

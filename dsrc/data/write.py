@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from dsrc.data.changes import at_place, in_world, with_sensors
 from dsrc.data.checksums import CHECKSUMS, Written, write_checksums
-from dsrc.data.drive_folder import is_complete, read_settings, write_protocol
+from dsrc.data.drive_folder import TRAFFIC_LOG, WORLD, is_complete, read_settings, write_protocol
 from dsrc.data.formats.opv2v.reader import CLOUDS, PROTOCOL, agent_table, with_clouds, write_frame
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
+from dsrc.data.simulate import open_simulated
 from dsrc.options.drives import DriveOptions, GenerateOptions
 from dsrc.options.fields import takes_fields
 from dsrc.runs.executors import Progress

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.drive_folder import WORLD
 from sim.boxes import CLASSES
 from sim.errors import DataError, ScenarioError, UserError
 
@@ -16,8 +17,6 @@ SINK_M = 0.12
 """Depth of the drawn world below the real one, m: points on the road stay visible."""
 GROUND_SINK_M = 0.4
 """The same of the ground: from afar a browser cannot tell which of two planes some centimetres apart is in front."""
-WORLD = "world.npz"
-"""File of a drive's world, as `dsrc generate` names it."""
 AROUND_M = 160.0
 """Distance from the agents within which the world is drawn, m."""
 _GROUND = "ground"

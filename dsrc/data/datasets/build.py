@@ -17,9 +17,9 @@ import msgspec
 from dsrc.data.checksums import CHECKSUMS
 from dsrc.data.datasets.manifest import MANIFEST, VERSION, Manifest, ManifestEntry, read_manifest, write_manifest
 from dsrc.data.datasets.spec import DatasetSpec, DriveItem, expand, find_split_file, read_dataset
-from dsrc.data.drive_folder import read_settings
+from dsrc.data.drive_folder import TRAFFIC_LOG, WORLD, read_settings
 from dsrc.data.formats.opv2v.reader import PROTOCOL
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD, open_simulated
+from dsrc.data.simulate import open_simulated
 from dsrc.data.write import make_drive, settle_encounter
 from dsrc.options.drives import BuildOptions
 from dsrc.options.fields import takes_fields

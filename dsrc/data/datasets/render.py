@@ -14,9 +14,8 @@ import msgspec
 from dsrc.data.changes import with_sensors
 from dsrc.data.datasets.spec import log_settings
 from dsrc.data.datasets.tracks import record_tracks
-from dsrc.data.drive_folder import read_settings
+from dsrc.data.drive_folder import TRAFFIC_LOG, read_settings
 from dsrc.data.formats.opv2v.reader import PROTOCOL
-from dsrc.data.simulate import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec, make_drive
 from dsrc.options.drives import Changes
 from dsrc.runs.executors import SERIAL, Pool, Progress

@@ -27,7 +27,7 @@ import msgspec
 from msgspec import Meta
 
 from dsrc.data.changes import in_world, parked_along, with_sensors
-from dsrc.data.simulate import TRAFFIC_LOG
+from dsrc.data.drive_folder import TRAFFIC_LOG
 from dsrc.data.write import DriveSpec
 from dsrc.options.drives import DriveOptions
 from sim.catalog.load import ROOT, load_scenario

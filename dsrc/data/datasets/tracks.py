@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 import trimesh
 
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD
+from dsrc.data.drive_folder import TRAFFIC_LOG, WORLD
 from sim.errors import DataError, complaint
 from sim.mesh.solids import Height, carpet, join, to_mesh
 from sim.scenario import AgentRule, Scenario

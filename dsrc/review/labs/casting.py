@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD
+from dsrc.data.drive_folder import TRAFFIC_LOG, WORLD
 from dsrc.review.labs.placement import Cast, Placement
 from sensors.motion import Path as MotionPath
 from sensors.scan.lidar import Sensor, scan_all

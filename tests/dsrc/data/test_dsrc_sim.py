@@ -13,7 +13,7 @@ import pytest
 from msgspec.structs import replace
 
 from dsrc.data.datasets.spec import DriveItem, expand, find_split_file, read_dataset
-from dsrc.data.simulate import TRAFFIC_LOG, WORLD
+from dsrc.data.drive_folder import TRAFFIC_LOG, WORLD
 from dsrc.data.write import DriveSpec, make_drive
 from dsrc.evaluation.detect import frame_positions
 from sim.catalog.load import list_scenarios

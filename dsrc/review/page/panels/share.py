@@ -41,7 +41,8 @@ class SharePanel(Panel):
             f'<a href="?{escape(link)}" style="display:block;color:inherit">{escape(name)}</a>'
             for name, link in sorted(views.items())
         )
-        set_fields(self.list, content=f'<div style="margin:0 .9em;font-size:.85em">{lines}</div>' if lines else "")
+        shown = lines or "None yet."
+        set_fields(self.list, content=f'<div style="margin:0 .9em;font-size:.85em">{shown}</div>')
 
     def _share(self, how: Any) -> None:
         try:
