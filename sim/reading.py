@@ -18,12 +18,15 @@ LARGEST_TEXT_BYTES = 1 << 26
 """Most bytes of a text of settings or annotations; the largest known have 2 MB."""
 
 
-def check_regular(path: Path, what: str, error: type[UserError] = DataError, most: int = LARGEST_BYTES) -> None:
+def check_regular(path: Path, what: str, error: type[UserError] = DataError, most: int = LARGEST_BYTES) -> int:
     """Check before the opening that a file is a regular one of bounded size: a pipe would wait for ever.
 
     Args:
         error: class of error to raise.
         most: largest size, bytes.
+
+    Returns:
+        Its size, bytes.
 
     Raises:
         UserError: of the class `error`: it is missing, no regular file or too large.
@@ -40,14 +43,15 @@ def check_regular(path: Path, what: str, error: type[UserError] = DataError, mos
         raise error(complaint(path, what, "a file", kind))
     if found.st_size > most:
         raise error(complaint(path, what, f"at most {most} bytes", f"{found.st_size} bytes"))
+    return found.st_size
 
 
 def read_bytes(path: Path, what: str, error: type[UserError] = DataError, most: int = LARGEST_BYTES) -> bytes:
     """Return the content of a file; raises as `check_regular`, also where it cannot be read."""
-    check_regular(path, what, error, most)
+    size = check_regular(path, what, error, most)
     try:
         with path.open("rb") as file:
-            return file.read(most)
+            return file.read(size)  # asked for more, Python takes memory for all of that
     except OSError as wrong:
         raise error(unreadable(path, what, wrong)) from None
 

@@ -237,7 +237,8 @@ def read_pcd(
             check_finite(path, field, values, table[field])
         y = -coordinates["y"] if mirrored else coordinates["y"]
         points = np.stack([coordinates["x"], y, coordinates["z"]], axis=1)
-        columns = {column: table[field] for field, column in COLUMNS.items() if field in names}
+        # Each of its own: a column of the table holds the whole table, and is read in strides.
+        columns = {column: table[field].copy() for field, column in COLUMNS.items() if field in names}
         columns["intensity"] = _intensity(path, table, full_scale)
         return make_sweep(points, world_from_lidar, time_s, spec, **columns)
 
