@@ -30,7 +30,7 @@ test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow --timeout 1800
 
 test-browser: $(READY)
-	$(BIN)/python -m pytest -m 'browser and not slow' tests/dsrc/review
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile -m 'browser and not slow' tests/dsrc/review
 
 # Property tests on new random examples.
 test-explore: $(READY)
