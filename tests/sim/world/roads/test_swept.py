@@ -17,6 +17,7 @@ from sim.traffic.base import Actors
 from sim.world.build import build_world
 from sim.world.ground import streets_of
 from sim.world.roads.kerbs import DROPPED_M, KERB_M
+from sim.world.roads.swept import swept_axes, with_swept
 from sim.world.standing import open_standing
 
 GROUND = ("asphalt", "marking", "pavement", "kerb", "gravel", "ground")
@@ -92,6 +93,22 @@ def test_corners_that_a_lorry_sweeps_are_even_and_their_kerb_is_dropped() -> Non
     inner = shapely.get_coordinates(shapely.segmentize(streets.swept.buffer(-0.5).boundary, 1.0))
     rise = streets.land.height(inner) - streets.terrain.height(inner)
     np.testing.assert_allclose(np.median(rise), DROPPED_M, atol=0.02)
+
+
+def test_traffic_on_the_left_sweeps_the_mirrored_ground() -> None:
+    streets = streets_of(uneven("four_way"), 1)
+    lanes = tuple(replace(lane, line=lane.line * [1.0, -1.0]) for lane in streets.lanes)
+    right, left = swept_axes(streets), swept_axes(replace(streets, lanes=lanes))
+    assert len(right) == len(left) > 100
+    there = shapely.get_coordinates(right) * [1.0, -1.0]
+    np.testing.assert_allclose(shapely.get_coordinates(left), there, atol=1e-6)
+
+
+def test_without_a_junction_nothing_is_swept() -> None:
+    streets = streets_of(uneven("four_way"), 1)
+    alone = replace(streets, lanes=tuple(lane for lane in streets.lanes if not lane.internal))
+    assert len(swept_axes(alone)) == 0
+    assert with_swept(alone, swept_axes(alone)).swept.is_empty
 
 
 def test_wide_junctions_have_islands_that_no_lane_leads_over_and_no_vehicle_stands_on(
