@@ -110,6 +110,7 @@ def test_a_class_and_a_process_of_the_same_rule_find_the_same(own: str) -> None:
     assert len(one) > 0 and np.allclose(one.boxes.array, other.boxes.array) and np.allclose(one.score, other.score)
 
 
+@pytest.mark.slow
 def test_an_evaluation_takes_them_all_with_workers_resume_and_provenance(own: str, tmp_path: Path) -> None:
     write_drives(tmp_path / "data")
     config = Evaluation(

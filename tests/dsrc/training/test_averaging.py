@@ -132,6 +132,7 @@ def test_what_chooses_the_weights_stays_the_same_in_a_run(
         train(replace(recipe, validate_every=1, validation_frames=2), data, run, "plain", validate=others)
 
 
+@pytest.mark.slow
 def test_a_training_that_ended_early_is_resumed_with_the_same_bytes_and_then_left_alone(
     data: Path, tmp_path: Path
 ) -> None:

@@ -133,7 +133,8 @@ def shrunk(preset: Recipe) -> Recipe:
     return replace(preset, model=replace(preset.model, stage_blocks=(1, 1, 1), **small), epochs=2, workers=0)
 
 
-@pytest.mark.parametrize("preset", [dsrc_paper, pytest.param(dsrc_code, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", [dsrc_paper, dsrc_code])
 def test_a_preset_trains_its_teacher_and_its_student_and_resumes_exactly(
     preset: Callable[[], Recipe], tmp_path: Path
 ) -> None:

@@ -18,6 +18,7 @@ def test_a_house_nearer_to_the_road_lowers_the_safe_speed() -> None:
     assert near.costs_s > far.costs_s
 
 
+@pytest.mark.slow
 def test_without_the_occluder_the_speed_of_the_lane_is_safe() -> None:
     hidden, free = (
         safe_speed(encounter("ima_building", parameters={"setback_m": 2.0}, control=control), 1)

@@ -63,6 +63,7 @@ def test_a_road_without_a_junction_along_an_axis_has_traffic(tmp_path: Path, spe
     holds(made, 2)
 
 
+@pytest.mark.slow
 def test_a_street_alone_of_openstreetmap_is_kept(tmp_path: Path) -> None:
     (tmp_path / "street.osm").write_text(STREET)
     holds(import_map(tmp_path / "street.osm", out=tmp_path / "made", seeds=(1, 2)), 1)

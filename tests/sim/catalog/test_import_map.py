@@ -192,6 +192,7 @@ def test_trees_lamps_poles_hedges_fences_and_walls_stand_where_the_map_has_them(
         assert mesh.triangles[there][:, :, 2].max() >= height
 
 
+@pytest.mark.slow
 def test_one_map_makes_the_same_bytes_every_time(folder: Path, tmp_path: Path) -> None:
     source = tmp_path / "town.osm"
     source.write_text(town(), encoding="utf-8")

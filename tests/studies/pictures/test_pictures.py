@@ -24,7 +24,9 @@ SMALL = {
 }
 
 
-LONGER = ("pictures.channel", "pictures.corruptions", "pictures.lidar_realism", "pictures.places")
+LONGER = tuple(
+    f"pictures.{name}" for name in ("channel", "corruptions", "lidar_realism", "places", "scenarios", "sweeps")
+)
 """Studies that take more than four seconds even so."""
 
 
@@ -66,6 +68,7 @@ def test_every_corruption_is_pictured(kind: str) -> None:
     assert f"]({picture})" in (ROOT / "docs" / "corruptions.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_table_of_weather_takes_the_place_of_the_one_before(tmp_path: Path) -> None:
     document = tmp_path / "weather.md"
     document.write_text("before\n<!-- begin weather_shares -->\nold\n<!-- end weather_shares -->\nafter\n")

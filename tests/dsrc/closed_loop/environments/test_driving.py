@@ -70,6 +70,7 @@ def test_an_agent_may_look_at_the_seen_space(perception: str | Perception, sees:
     env.close()
 
 
+@pytest.mark.slow
 def test_an_id_is_known_to_make_by_its_module() -> None:
     code = "import gymnasium; print(gymnasium.make('dsrc.closed_loop.environments:dsrc/Rail-v0').spec.id)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -233,7 +233,8 @@ def test_what_ran_before_in_a_process_changes_nothing() -> None:
     assert runs[0].tobytes() == runs[1].tobytes()
 
 
-@pytest.mark.parametrize("name", ["roundabout", pytest.param("merge", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["roundabout", "merge"])
 def test_frames_are_generated_where_sumo_is_not_installed(name: str, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_SUMO, name, str(tmp_path)], capture_output=True, text=True, check=False

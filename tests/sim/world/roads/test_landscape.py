@@ -179,6 +179,7 @@ def test_paint_kerbs_and_rails_keep_to_the_ground_between_their_corners(name: st
         assert np.linalg.norm(chosen - np.roll(chosen, 1, axis=1), axis=2).max() < 6.0
 
 
+@pytest.mark.slow
 def test_equal_seeds_build_equal_ground_and_level_worlds_are_as_before(town: Streets) -> None:
     streets_of.__globals__["_uneven"].cache_clear()
     again = streets_of(scenario(), 1)
