@@ -255,6 +255,7 @@ def _cooperation() -> Iterator[tuple[str, str]]:
     for plan, eyes in (
         ("cooperation", {"sight": "own sight", "team_sight": "team's sight"}),
         ("cooperation-detectors", {"ego": "ego", "team": "team"}),
+        ("cooperation-boxes", {"late": "late", "cpm": "cpm"}),
         ("cooperation-mined", {"mined_sight": "own sight", "mined_team_sight": "team's sight"}),
     ):
         result = committed(LOOP / f"{plan}.toml")[1]
