@@ -108,7 +108,7 @@ def point_colors(
         return table.take(np.minimum(sweep.fate[chosen], len(table) - 1), axis=0)
     rgb = LOOKS[theme].ink if color_by == "verdict" else agent_rgb
     points, ids = sweep.points, sweep.object_id
-    if rows is not None:  # an index takes three times as long
+    if rows is not None:  # faster than an index
         points, ids = points.take(rows, axis=0), ids.take(rows)
     return _shade(_height(points, height_of), ids, rgb, LOOKS[theme].faded)
 

@@ -1,8 +1,8 @@
 """Detector for real roads, trained further on uneven and level drives, and the mean of its weights before and after.
 
 Networks that have seen no level, bare world lose points there; more steps on such frames win them back, and cost false
-boxes on real roads. The mean of the weights keeps most of both (WiSE-FT, Wortsman et al., CVPR 2022). The data: `dsrc
-dataset build studies/shipped/further.toml --out data/further`.
+boxes on real roads. The mean of the weights (WiSE-FT, Wortsman et al., CVPR 2022) lies between them in both. Another
+`--share` trains nothing anew. The data: `dsrc dataset build studies/shipped/further.toml --out data/further`.
 
 Usage:
     python -m studies.shipped.further --data data/further --out runs/further

@@ -228,7 +228,7 @@ def test_an_interrupted_run_resumes_with_the_same_bytes_for_any_workers(
 
     def files(workers: int) -> dict[str, bytes]:
         main(["shares", str(world / "test"), "--out", str(out), *options, "--workers", str(workers)])
-        return {path.name: path.read_bytes() for path in (out).rglob("*") if path.is_file()}
+        return {path.name: path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
     whole = files(1)
     cells = sorted((out / "cells").iterdir())

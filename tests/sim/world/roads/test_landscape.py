@@ -140,23 +140,22 @@ def test_unpaved_ground_is_rough_and_paved_ground_smooth(town: Streets) -> None:
 
 
 def test_the_ground_lies_below_what_it_carries_and_the_world_is_closed(town: Streets, world: trimesh.Trimesh) -> None:
-    mesh = world
     assert town.land is not None
     for name, field, lift in (
         ("asphalt", town.terrain, 0.0),
         ("marking", town.terrain, 0.01),
         ("pavement", town.land, 0.0),
     ):
-        corners = corners_of(mesh, name)
+        corners = corners_of(world, name)
         np.testing.assert_allclose(corners[:, 2], field.height(corners[:, :2]) + lift, atol=1e-6)
-    corners = corners_of(mesh, "ground")
+    corners = corners_of(world, "ground")
     beside, below = (field.height(corners[:, :2]) - corners[:, 2] for field in (town.land, town.terrain))
     np.testing.assert_allclose(
         np.minimum(np.abs(beside - GROUND_BELOW_M), np.abs(below - 2.0 * GROUND_BELOW_M)), 0.0, atol=1e-6
     )
     land = [material_index(name) for name in ("asphalt", "marking", "pavement", "kerb", "ground")]
-    assert np.isfinite(mesh.vertices).all()
-    assert np.isin(mesh.face_attributes["material"], land).sum() < 106_000 and len(mesh.faces) < 235_000
+    assert np.isfinite(world.vertices).all()
+    assert np.isin(world.face_attributes["material"], land).sum() < 106_000 and len(world.faces) < 235_000
 
 
 @pytest.mark.parametrize("name", ["highway", "highway_env_intersection"])
