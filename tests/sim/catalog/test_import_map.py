@@ -294,7 +294,7 @@ def test_the_command_tries_ten_seeds_and_says_what_takes_its_folder(
     (tmp_path / "town.osm").write_text(town(), encoding="utf-8")
     main(["scenario", "import", str(tmp_path / "town.osm"), "--out", str(tmp_path / "x")])
     assert f"dsrc generate {tmp_path / 'x'}" in capsys.readouterr().err
-    assert load_scenario(tmp_path / "x").name == "x"
+    assert load_scenario(tmp_path / "x").name == "town"
 
 
 def test_generate_takes_the_folder(folder: Path, tmp_path: Path) -> None:
