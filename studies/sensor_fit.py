@@ -26,6 +26,7 @@ from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.realism.figures import Samples, figures_of
 from dsrc.realism.gauge import measure
 from dsrc.tables.table import Table
+from sensors.corruptions.physics.rings import measured_elevation
 from sensors.sweep import Sweep, make_sweep
 from sim.boxes import Boxes
 
@@ -57,8 +58,7 @@ def read_frame(path: Path) -> tuple[Sweep, Boxes]:
     with np.load(path, allow_pickle=False) as frame:
         points, ring = frame["points"], frame["ring"].astype(np.int16)
         boxes = Boxes.from_array(frame["boxes"].reshape(-1, 7)[frame["kind"] == "vehicle"].astype(np.float64))
-    if len(ring) == 0:
-        ring = _turns(points)
+    ring = _from_top(points, ring if len(ring) else _turns(points))
     return make_sweep(points[:, :3].astype(np.float32), intensity=points[:, 3], ring=ring), boxes
 
 
@@ -106,6 +106,13 @@ def _turns(points: NDArray[np.floating]) -> NDArray[np.int16]:
     """Return (P,) rings of points that are listed ring by ring, each counter-clockwise from straight ahead."""
     azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360.0
     return np.concatenate([[0], np.cumsum(np.diff(azimuth) < -180.0)]).astype(np.int16)
+
+
+def _from_top(points: NDArray[np.floating], ring: NDArray[np.int16]) -> NDArray[np.int16]:
+    """Return (P,) rings in the order of their elevations, the highest 0: data sets number lasers as they fire."""
+    count = int(ring.max(initial=0)) + 1
+    order = np.argsort(-measured_elevation(points, ring, count), kind="stable")
+    return np.argsort(order)[ring].astype(np.int16)
 
 
 def _span(sweeps: Sequence[Samples], name: str) -> tuple[float, float]:

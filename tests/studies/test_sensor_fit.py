@@ -16,7 +16,7 @@ def frame(tmp_path: Path) -> Path:
     rows = []
     for ring in range(16):
         azimuth = np.radians(np.arange(0.25, 360.0, 0.5))
-        away = np.full(len(azimuth), 4.0 + 2.0 * ring)
+        away = np.full(len(azimuth), 34.0 - 2.0 * ring)
         kept = (np.cos(azimuth) > -0.9) | (ring < 15)
         xyz = np.stack([away * np.cos(azimuth), away * np.sin(azimuth), np.full(len(azimuth), -1.7)], axis=1)
         rows.append(np.column_stack([xyz, np.full(len(azimuth), 0.3)])[kept])
