@@ -1,4 +1,6 @@
-"""What drives cost: CPU time per frame over agents, vehicles and forms of clouds, and frames per second over workers.
+"""What drives cost: CPU time per frame over agents, vehicles, clouds and worlds, and frames per second over workers.
+
+Worlds of both versions by themselves: time to build, memory, size on disk.
 
 Workers are processes of this machine, and Ray's where the package ray is installed. CPU time is the figure to trust
 where other processes are busy.
@@ -26,6 +28,7 @@ import tyro
 
 from benchmarks.quiet import others_s
 from benchmarks.street import BENCHMARK_LIDAR
+from dsrc.data.changes import in_world
 from dsrc.data.checksums import Written
 from dsrc.data.drive_folder import TRAFFIC_LOG, WORLD
 from dsrc.data.formats.opv2v.reader import CLOUDS, Clouds, write_frame
@@ -34,8 +37,11 @@ from dsrc.data.write import DriveSpec
 from dsrc.runs.executors import Executor, ProcessExecutor, Progress, RayExecutor
 from dsrc.tables.table import Table
 from sensors.presets import register_sensor
+from sensors.scan.scene import RayScene
 from sim.catalog.load import load_scenario
 from sim.scenario import Scenario
+from sim.world.build import build_world
+from sim.world.world_file import save_world
 
 AGENTS, VEHICLES = 5, 60
 AGENT_COUNTS, VEHICLE_COUNTS = (1, 2, 5, 10, 20), (20, 60, 100)
@@ -91,6 +97,7 @@ class Point:
     agents: int = AGENTS
     vehicles: int = VEHICLES
     clouds: Clouds = "pcd"
+    world: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,15 +118,16 @@ class Cost:
 
 
 def points(quick: bool) -> list[Point]:
-    """Return the points of the curve: one of agents, vehicles and clouds changes at a time."""
+    """Return the points of the curve: one of agents, vehicles, clouds and worlds changes at a time."""
     agents = (1, AGENTS) if quick else AGENT_COUNTS
     vehicles = (20, VEHICLES) if quick else VEHICLE_COUNTS
     varied = [Point(), *(Point(clouds=clouds) for clouds in CLOUDS)]
     varied += [*(Point(agents=count) for count in agents), *(Point(vehicles=count) for count in vehicles)]
+    varied.append(Point(world=2))
     return list(dict.fromkeys(varied))
 
 
-def busy_scenario(agents: int = AGENTS, vehicles: int = VEHICLES) -> Scenario:
+def busy_scenario(agents: int = AGENTS, vehicles: int = VEHICLES, world: int = 1) -> Scenario:
     """Return the made junctions with that many vehicles, some of which carry the benchmarks' sensor."""
     scenario = load_scenario("four_way")
     demand = msgspec.structs.replace(
@@ -130,7 +138,7 @@ def busy_scenario(agents: int = AGENTS, vehicles: int = VEHICLES) -> Scenario:
         max_vehicles=vehicles,
     )
     rule = msgspec.structs.replace(scenario.agents, vehicles=agents, lidar=BENCHMARK_LIDAR.name, roadside=())
-    return msgspec.structs.replace(scenario, demand=demand, agents=rule, warmup_s=45.0)
+    return in_world(msgspec.structs.replace(scenario, demand=demand, agents=rule, warmup_s=45.0), world)
 
 
 def make_frames(live: SimulatedDrive, drive: Path, first: int, last: int, clouds: Clouds = "pcd") -> None:
@@ -185,7 +193,7 @@ def traffic_ms() -> float:
 
 def cost_of(point: Point, drive: Path, frames: int, recorded: Path | None) -> Cost:
     """Return what a frame costs in this process, on one thread, without the traffic."""
-    spec, clock = DriveSpec(busy_scenario(point.agents, point.vehicles), 1, frames), Clock()
+    spec, clock = DriveSpec(busy_scenario(point.agents, point.vehicles, point.world), 1, frames), Clock()
     drive.mkdir()
     with _opened(spec, drive, recorded) as live:
         make_frames(live, drive, 0, 1, point.clouds)
@@ -205,12 +213,56 @@ def curve(folder: Path, frames: int, quick: bool) -> tuple[dict[Point, Cost], Pa
     costs: dict[Point, Cost] = {}
     for row, point in enumerate(points(quick)):
         drive = folder / f"point_{row}"
-        cost = cost_of(point, drive, frames, recordings.get(point.vehicles))
+        cost = cost_of(point, drive, frames, recordings.get((point.vehicles, point.world)))
         costs[point] = Cost({"traffic": step_ms, **cost.stages}, cost.mb)
-        recordings.setdefault(point.vehicles, drive)
+        recordings.setdefault((point.vehicles, point.world), drive)
         for cloud in [path for clouds in CLOUDS for path in drive.glob(f"*/*.{clouds}")]:
             cloud.unlink()  # a drive may have a gigabyte, in memory
-    return costs, recordings[VEHICLES]
+    return costs, recordings[VEHICLES, 1]
+
+
+@dataclass(frozen=True, slots=True)
+class WorldCost:
+    """What a world costs: seconds of CPU to build, megabytes meanwhile and afterwards, kilobytes of its file."""
+
+    build_s: float
+    peak_mb: float
+    held_mb: float
+    file_kb: float
+    triangles: int
+
+
+def world_cost(place: tuple[str, int], report: Progress) -> WorldCost:
+    """Build the world of a scenario, by name and version, and its hierarchy of rays, in a process of its own."""
+    scenario = in_world(load_scenario(place[0]), place[1])
+    Path("/proc/self/clear_refs").write_text("5")  # the most so far, that of the parent, is forgotten
+    before, start = _memory_mb("VmRSS"), time.process_time()
+    world = build_world(scenario, 1)
+    scene = RayScene(world)
+    spent = time.process_time() - start
+    held, peak = _memory_mb("VmRSS") - before, _memory_mb("VmHWM") - before
+    with tempfile.TemporaryDirectory() as folder:
+        size = save_world(world, {}, Path(folder) / WORLD).stat().st_size
+    del scene
+    return WorldCost(spent, peak, held, size / 1e3, len(world.faces))
+
+
+def _memory_mb(kind: str) -> float:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return float(next(line.split()[1] for line in lines if line.startswith(kind))) / 1024
+
+
+def world_costs(quick: bool) -> dict[tuple[str, int], WorldCost]:
+    """Return what worlds of both versions cost."""
+    places = [(name, version) for name in ("four_way", "braunschweig")[: 1 if quick else 2] for version in (1, 2)]
+    costs = {}
+    for place in places:  # a process each, so that none has the memory of another
+        with ProcessExecutor(1) as pool:
+            for outcome in pool.run(world_cost, [place]):
+                if outcome.error is not None:
+                    raise outcome.error
+                costs[place] = outcome.value
+    return costs
 
 
 def rate_of(place: Path, recorded: Path, executor: Executor, workers: int, frames: int) -> tuple[float, float]:
@@ -245,6 +297,7 @@ def main(quick: bool = False, out: Path | None = None) -> None:
         folder, others, start = Path(name), others_s(), time.monotonic()
         costs, recorded = curve(folder, frames, quick)
         load = (others_s() - others) / (time.monotonic() - start)
+        worlds = world_costs(quick)
         log = (recorded / TRAFFIC_LOG).stat().st_size
         world = (recorded / WORLD).stat().st_size
         rates = {
@@ -255,8 +308,14 @@ def main(quick: bool = False, out: Path | None = None) -> None:
     parts, total = costs[Point()].stages, costs[Point()].cpu_ms
     stages = ((stage, f"{spent:.1f}", f"{spent / total:.1%}") for stage, spent in parts.items())
     print(Table.of(("stage", "CPU ms per frame", "share"), stages))
-    columns = ("agents", "vehicles", "clouds", "CPU ms per frame", "core-hours per million", "TB per million")
-    print(Table.of(columns, ((p.agents, p.vehicles, p.clouds, *cost.shown()) for p, cost in costs.items())))
+    columns = ("agents", "vehicles", "clouds", "world", "CPU ms per frame", "core-hours per million", "TB per million")
+    print(Table.of(columns, ((p.agents, p.vehicles, p.clouds, p.world, *cost.shown()) for p, cost in costs.items())))
+    columns = ("place", "world", "triangles", "CPU s to build", "MB at most", "MB held", "kB on disk")
+    built = (
+        (*place, c.triangles, f"{c.build_s:.1f}", f"{c.peak_mb:.0f}", f"{c.held_mb:.0f}", f"{c.file_kb:.0f}")
+        for place, c in worlds.items()
+    )
+    print(Table.of(columns, built))
     rated = ((*key, f"{rate:.2f}", f"{cpu_ms:.1f}") for key, (rate, cpu_ms) in rates.items())
     print(Table.of(("executor", "workers", "frames per s", "CPU ms per frame"), rated))
     figures = {
@@ -274,6 +333,10 @@ def main(quick: bool = False, out: Path | None = None) -> None:
         "compact_frame_mb": round(costs[Point(clouds="compact")].mb, 2),
         "curve": [
             msgspec.to_builtins(p) | {"cpu_ms": round(c.cpu_ms, 1), "mb": round(c.mb, 2)} for p, c in costs.items()
+        ],
+        "tracing_ms": {p.world: round(costs[p].stages["tracing"], 1) for p in (Point(), Point(world=2))},
+        "worlds": [
+            {"place": place, "world": version, **msgspec.to_builtins(c)} for (place, version), c in worlds.items()
         ],
         "written_to": str(place or tempfile.gettempdir()),
         "log_bytes_per_frame": round(log / (frames + 30)),
