@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from unittest import mock
 
 import msgspec
@@ -97,7 +97,7 @@ class Point:
     agents: int = AGENTS
     vehicles: int = VEHICLES
     clouds: Clouds = "pcd"
-    world: int = 1
+    world: Literal[1, 2] = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ def points(quick: bool) -> list[Point]:
     return list(dict.fromkeys(varied))
 
 
-def busy_scenario(agents: int = AGENTS, vehicles: int = VEHICLES, world: int = 1) -> Scenario:
+def busy_scenario(agents: int = AGENTS, vehicles: int = VEHICLES, world: Literal[1, 2] = 1) -> Scenario:
     """Return the made junctions with that many vehicles, some of which carry the benchmarks' sensor."""
     scenario = load_scenario("four_way")
     demand = msgspec.structs.replace(
@@ -209,8 +209,8 @@ def cost_of(point: Point, drive: Path, frames: int, recorded: Path | None) -> Co
 def curve(folder: Path, frames: int, quick: bool) -> tuple[dict[Point, Cost], Path]:
     """Return what each point costs, and the folder of the recording of the first."""
     register_sensor(BENCHMARK_LIDAR)
-    step_ms, recordings = traffic_ms(), {}
-    costs: dict[Point, Cost] = {}
+    step_ms, costs = traffic_ms(), dict[Point, Cost]()
+    recordings: dict[tuple[int, int], Path] = {}
     for row, point in enumerate(points(quick)):
         drive = folder / f"point_{row}"
         cost = cost_of(point, drive, frames, recordings.get((point.vehicles, point.world)))
@@ -232,7 +232,7 @@ class WorldCost:
     triangles: int
 
 
-def world_cost(place: tuple[str, int], report: Progress) -> WorldCost:
+def world_cost(place: tuple[str, Literal[1, 2]], report: Progress) -> WorldCost:
     """Build the world of a scenario, by name and version, and its hierarchy of rays, in a process of its own."""
     scenario = in_world(load_scenario(place[0]), place[1])
     Path("/proc/self/clear_refs").write_text("5")  # the most so far, that of the parent, is forgotten

@@ -13,6 +13,7 @@ import argparse
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import shapely
@@ -87,7 +88,7 @@ def table(columns: Mapping[str, Sequence[str]]) -> str:
     return Table.of(["", *columns], [row for row in rows if any(row[1:])], 1).markdown()
 
 
-def on_streets(name: str, world: int, specs: Sequence[LidarSpec], seed: int) -> list[list[str]]:
+def on_streets(name: str, world: Literal[1, 2], specs: Sequence[LidarSpec], seed: int) -> list[list[str]]:
     """Return the medians of each sensor's figures at the places of an area."""
     scenario = in_world(load_scenario(name), world)
     streets, scene = streets_of(scenario, seed), RayScene(build_world(scenario, seed))

@@ -1,12 +1,13 @@
 """Argoverse 2 sensor data set: a log is a drive, its two stacked LiDARs one sensor.
 
-    LOG/sensors/lidar/TIMESTAMP_NS.feather      x, y, z, intensity (0 to 255) and more, in the car's frame
+    LOG/sensors/lidar/TIMESTAMP_NS.feather      x, y, z in the car's frame, intensity (0 to 255), laser_number (0 to 63)
     LOG/city_SE3_egovehicle.feather             pose of the car at each timestamp: qw, qx, qy, qz, tx_m, ty_m, tz_m
     LOG/calibration/egovehicle_SE3_sensor.feather   pose of each sensor on the car: sensor_name, the same columns
     LOG/annotations.feather                     boxes in the car's frame; not in the test split
 
 The sweep is in the frame of the upper LiDAR; points are compensated to the timestamp. The car's origin is the middle of
-its rear axle, about 0.33 m above the ground. Bicycles and motorcycles in use are labelled apart from their riders.
+its rear axle, about 0.33 m above the ground. Lasers are numbered as they fire, one LiDAR after the other; rings go from
+the top, by the elevations of the first sweep. Bicycles and motorcycles in use are labelled apart from their riders.
 
 Needs the package `pyarrow`. Source: B. Wilson et al., NeurIPS 2021; the user guide of the API `av2` (sensor dataset).
 """
@@ -53,6 +54,7 @@ CLASSES = {
 }
 _POSES, _CALIBRATION, _BOXES = "city_SE3_egovehicle.feather", "calibration/egovehicle_SE3_sensor.feather", "annotations"
 _LIDARS = Path("sensors") / "lidar"
+_LASERS = 64
 _SENSOR = "up_lidar"
 
 
@@ -77,6 +79,7 @@ class Argoverse(Layout):
         self.height_m = (float(self._body_from_lidar[2, 3]) + AXLE_M,)
         self._cars = lru_cache(maxsize=1)(self._read_cars)
         self._objects = lru_cache(maxsize=1)(self._read_objects)
+        self._rings = lru_cache(maxsize=1)(self._read_rings)
 
     @classmethod
     def below(cls, folder: Path) -> list[Path]:
@@ -101,12 +104,8 @@ class Argoverse(Layout):
 
     def sweeps(self, i: int) -> list[Sweep]:
         """Return the sweep of both LiDARs in the frame of the upper one."""
-        path = self._scans[i]
-        table = _columns(path, ("x", "y", "z", "intensity"))
-        points = finite(path, np.column_stack([table[name].astype(np.float32) for name in "xyz"]))
-        placed = transform_points(invert(self._body_from_lidar), points.astype(np.float64))
-        intensity = unit_intensity(path, table["intensity"].astype(np.float32), 255.0)
-        return [make_sweep(placed, self.poses(i)[0], self.time_s(i), intensity=intensity)]
+        placed, intensity, laser = self._read_scan(self._scans[i])
+        return [make_sweep(placed, self.poses(i)[0], self.time_s(i), intensity=intensity, ring=self._rings()[laser])]
 
     def labelled(self, i: int) -> bool:
         """Return whether the log has annotations."""
@@ -131,6 +130,26 @@ class Argoverse(Layout):
     @property
     def _file(self) -> Path:
         return self.path / f"{_BOXES}.feather"
+
+    def _read_scan(self, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int64]]:
+        """Return (P, 3) points in the frame of the upper LiDAR, their intensities and lasers."""
+        table = _columns(path, ("x", "y", "z", "intensity", "laser_number"))
+        points = finite(path, np.column_stack([table[name].astype(np.float32) for name in "xyz"]))
+        placed = np.asarray(transform_points(invert(self._body_from_lidar), points.astype(np.float64)))
+        laser = table["laser_number"]
+        if not ((laser >= 0) & (laser < _LASERS) & (laser == np.floor(laser))).all():
+            raise DataError(complaint(path, "laser_number", f"whole numbers from 0 to {_LASERS - 1}", "others"))
+        intensity = np.asarray(unit_intensity(path, table["intensity"].astype(np.float32), 255.0))
+        return placed, intensity, laser.astype(np.int64)
+
+    def _read_rings(self) -> NDArray[np.int16]:
+        """Return the (64,) ring of each laser; those without a point in the first sweep are the last."""
+        points, _, laser = self._read_scan(self._scans[0])
+        elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+        count = np.bincount(laser, minlength=_LASERS)
+        mean = np.bincount(laser, elevation, _LASERS) / np.maximum(count, 1)
+        order = np.argsort(np.where(count > 0, -mean, np.inf), kind="stable")
+        return np.argsort(order).astype(np.int16)
 
     def _read_cars(self) -> dict[int, NDArray[np.float64]]:
         path = self.path / _POSES

@@ -49,6 +49,21 @@ def test_argoverse(tmp_path: Path) -> None:
         # Coordinates of half precision: 1.6 cm beyond 32 m.
         assert np.abs(sweep.points - now.points[:, :3]).max() < 0.02
         assert np.array_equal(sweep.intensity, now.points[:, 3])
+        assert np.array_equal(sweep.ring, 31 - now.ring.astype(int))
+
+
+def test_a_laser_that_no_log_of_argoverse_has_is_refused(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import feather
+
+    drive = opened(trees.argoverse, tmp_path)
+    scan = sorted(drive.drive.glob("sensors/lidar/*.feather"))[1]
+    table = feather.read_table(scan, memory_map=False)
+    lasers = pyarrow.array(np.full(len(table), 64, np.uint8))
+    table = table.set_column(table.column_names.index("laser_number"), "laser_number", lasers)
+    feather.write_feather(table, scan)
+    with pytest.raises(DataError, match=f"{scan.name}: laser_number: expected whole numbers from 0 to 63"):
+        open_drive(drive.drive).read(1)
 
 
 def test_nuscenes(tmp_path: Path) -> None:
