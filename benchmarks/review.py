@@ -7,12 +7,13 @@ objects in each, of three methods: right ones off by some decimetres, some twice
 Figures are medians of the CPU time of one thread, which other processes disturb least; `..._wall` of the wall time.
 `first_picture_s` is wall time from the start of `dsrc view` on a drive of 200 frames until a Chromium that is already
 open has drawn points, read from the pixels of its canvas, with the CPU time of the server and of the browser, which
-draws in software, until then; `stream_core_share` the CPU time of the server per second while a page of five clouds of
-60,000 points steps ten times per second through frames in memory, to such a Chromium. Without Chromium both are left
-out.
+draws in software, until then. `bare_first_picture_s` is the same of a bare viser page, the limit: a server that starts
+and sends one cloud of as many points; `first_picture_over_bare` is the ratio. `stream_core_share` is the CPU time of
+the server per second while a page of five clouds of 60,000 points steps ten times per second through frames in memory,
+to such a Chromium. Without Chromium all of these are left out.
 
     python -m benchmarks.review            # about two minutes
-    python -m benchmarks.review --quick    # fewer steps, under half a minute
+    python -m benchmarks.review --quick    # fewer steps, under a minute
 """
 
 import contextlib
@@ -245,7 +246,9 @@ def browser_figures(quick: bool) -> dict[str, float]:
         for index in range(KEPT - 1, frames):
             copy_frame(drive, index % (KEPT - 1), index)
         with_detector = first_picture(drive, "detector_", "--checkpoint", str(CHECKPOINT))
-        return {**first_picture(drive), **with_detector, **streaming(drive, 5.0 if quick else 15.0)}
+        ours, bare = first_picture(drive), bare_picture()
+        ratio = {"first_picture_over_bare": round(ours["first_picture_s"] / bare["bare_first_picture_s"], 2)}
+        return {**ours, **with_detector, **bare, **ratio, **streaming(drive, 5.0 if quick else 15.0)}
 
 
 def copy_frame(drive: Path, index: int, to: int) -> None:
@@ -253,6 +256,15 @@ def copy_frame(drive: Path, index: int, to: int) -> None:
     for path in sorted(drive.glob(f"*/{index:06d}.*")):
         shutil.copyfile(path, path.with_name(f"{to:06d}{path.suffix}"))
 
+
+BARE = """
+import sys, time, numpy as np, viser
+server = viser.ViserServer(host="127.0.0.1", port=int(sys.argv[1]), verbose=False)
+points = np.random.default_rng(0).uniform(-60.0, 60.0, (int(sys.argv[2]), 3)).astype(np.float32)
+server.scene.add_point_cloud("/points", points, colors=tuple(map(int, sys.argv[3].split(","))), point_size=0.1)
+time.sleep(600.0)
+"""
+"""A page of viser with one cloud: what any page of it costs."""
 
 _POINTS = "Object.entries((window.__viserMutable||{}).nodeRefFromName||{}).some(([n,o])=>n.endsWith('/points')&&o)"
 # A screenshot takes a software renderer longer than the page takes to come up.
@@ -286,17 +298,31 @@ def first_picture(drive: Path, prefix: str = "", *options: str) -> dict[str, flo
         prefix: of the names of the figures.
         options: further options of `dsrc view`.
     """
-    port, started = free_port(), 0.0
+    port = free_port()
+    command = ["-m", "dsrc", "view", str(drive), "--port", str(port), *options]
+    return {prefix + name: seconds for name, seconds in first_drawn(port, command).items()}
+
+
+def bare_picture() -> dict[str, float]:
+    """`first_picture` of a bare viser page of as many points."""
+    port, rgb = free_port(), ",".join(map(str, AGENT_COLORS[0]))
+    figures = first_drawn(port, ["-c", BARE, str(port), str(AGENTS * SHOWN_POINTS), rgb])
+    return {f"bare_{name}": seconds for name, seconds in figures.items()}
+
+
+def first_drawn(port: int, command: list[str]) -> dict[str, float]:
+    """Seconds from the start of a Python command until its port answers, and until a browser shows its points."""
+    # Byte code is kept, as that of an installation is.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     with open_page("about:blank", (640, 400)) as page:
-        before = busy_s(os.getpid())
-        started = time.perf_counter()
-        command = [sys.executable, "-m", "dsrc", "view", str(drive), "--port", str(port), *options]
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
+        before, started = busy_s(os.getpid()), time.perf_counter()
+        silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+        with subprocess.Popen([sys.executable, *command], **silent) as server:
             try:
                 while not _answers(port):
                     time.sleep(0.02)
                     if server.poll() is not None:
-                        raise RuntimeError(f"dsrc view ended with code {server.returncode}")
+                        raise RuntimeError(f"the server ended with code {server.returncode}")
                 answered = time.perf_counter() - started
                 page.send("Page.navigate", url=f"http://127.0.0.1:{port}/?fixedDpr=1")
                 page.wait_for("document.readyState === 'complete' && document.querySelector('canvas')", 120.0)
@@ -304,14 +330,13 @@ def first_picture(drive: Path, prefix: str = "", *options: str) -> dict[str, flo
                 arrived = time.perf_counter() - started
                 page.wait_for(_DRAWN, 120.0)
                 passed, server_cpu = time.perf_counter() - started, busy_s(server.pid)
-                figures = {
+                return {
                     "first_picture_s": round(passed, 2),
                     "first_picture_server_cpu_s": round(server_cpu, 2),
                     "first_picture_browser_cpu_s": round(busy_s(os.getpid()) - before - server_cpu, 2),
                     "points_s": round(arrived, 2),
                     "server_s": round(answered, 2),
                 }
-                return {prefix + name: seconds for name, seconds in figures.items()}
             finally:
                 server.terminate()
 
@@ -366,6 +391,9 @@ _WHAT = {
     "first_picture_s": "from the start of dsrc view to points drawn by a browser",
     "first_picture_server_cpu_s": "CPU time of dsrc view until then",
     "first_picture_browser_cpu_s": "CPU time of the browser, which draws in software, until then",
+    "bare_first_picture_s": "the same of a bare viser page of as many points, the limit",
+    "bare_first_picture_server_cpu_s": "CPU time of its server until then",
+    "first_picture_over_bare": "ours over the bare page's",
     "detector_first_picture_s": "the same with a detector",
     "detector_first_picture_server_cpu_s": "CPU time of dsrc view until then",
     "points_s": "the same until its points are in the browser's scene",

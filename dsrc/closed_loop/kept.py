@@ -45,11 +45,11 @@ def world_scene(scenario: Scenario, seed: int) -> RayScene:
 
 @lru_cache(maxsize=_SCENES)
 def _scene(scenario_json: bytes, seed: int) -> RayScene:
-    return RayScene(_world(msgspec.json.decode(scenario_json, type=Scenario), seed))
+    return RayScene(kept_world(msgspec.json.decode(scenario_json, type=Scenario), seed))
 
 
-def _world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
-    """Return the world of a scenario, bit for bit that of `build_world`."""
+def kept_world(scenario: Scenario, seed: int) -> trimesh.Trimesh:
+    """Return the world of a scenario, bit for bit that of `build_world`, from the cache folder where it is kept."""
     path = kept_file("worlds", ".npz", _BUILT_BY, scenario, seed)
     with suppress(OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile), _opened(path) as arrays:
         return to_mesh(MeshPart(arrays["vertices"], arrays["faces"].astype(np.int64), arrays["material"]))

@@ -42,14 +42,14 @@ class StaticPart:
 @cache
 def body_shape(class_name: str) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """(V, 3) vertices and (F, 3) faces of a body of length, width and height 1, standing on z = 0."""
-    from sim.bodies.choice import body_mesh, generic_models_for, models_for
+    from sim.bodies.choice import body_part, generic_models_for, models_for
 
     try:
-        mesh = body_mesh(models_for(class_name)[0], (1.0, 1.0, 1.0))
+        part = body_part(models_for(class_name)[0], (1.0, 1.0, 1.0))
     except ScenarioError:
         # The cars are SUMO's, which reviewing a drive does not need.
-        mesh = body_mesh(generic_models_for(class_name)[0], (1.0, 1.0, 1.0))
-    return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
+        part = body_part(generic_models_for(class_name)[0], (1.0, 1.0, 1.0))
+    return np.asarray(part.vertices, np.float32), np.asarray(part.faces, np.uint32)
 
 
 def load_bodies() -> None:
@@ -107,10 +107,10 @@ def _world(scenario: dict, seed: int, folder: Path | None) -> Any:
         return load_world(folder / WORLD).static
     import msgspec
 
+    from dsrc.closed_loop.kept import kept_world
     from sim.scenario import Scenario
-    from sim.world.build import build_world
 
-    return build_world(msgspec.convert(scenario, Scenario), seed)
+    return kept_world(msgspec.convert(scenario, Scenario), seed)
 
 
 def split_by_material(

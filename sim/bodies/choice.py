@@ -82,12 +82,19 @@ def body_mesh(model: str, size_lwh: tuple[float, float, float]) -> "trimesh.Trim
     Raises:
         SettingsError: the model is unknown or the size is not positive.
     """
+    from sim.mesh.solids import to_mesh
+
+    return to_mesh(body_part(model, size_lwh))
+
+
+def body_part(model: str, size_lwh: tuple[float, float, float]) -> "MeshPart":
+    """Return the triangles of `body_mesh`; raises as that."""
     require_model(model)
     if len(size_lwh) != 3 or not all(0.0 < value < 100.0 for value in size_lwh):
         raise SettingsError(f"size of {model}: expected three lengths in (0, 100) m, found {tuple(size_lwh)}")
-    from sim.mesh.solids import fit, to_mesh
+    from sim.mesh.solids import fit
 
-    return to_mesh(fit(_shape(model), size_lwh))
+    return fit(_shape(model), size_lwh)
 
 
 @lru_cache(maxsize=256)

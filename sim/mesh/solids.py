@@ -3,14 +3,17 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from sim.geometry import Array
 from sim.mesh.materials import material_index
+
+if TYPE_CHECKING:
+    import trimesh
 
 Height = Callable[[Array], Array]
 """Height field: (N, 2) world positions -> (N,) height of the road, m."""
@@ -50,8 +53,10 @@ def join(parts: Sequence[MeshPart]) -> MeshPart:
     )
 
 
-def to_mesh(whole: MeshPart) -> trimesh.Trimesh:
+def to_mesh(whole: MeshPart) -> "trimesh.Trimesh":
     """Return the Trimesh of a part, unprocessed, with `face_attributes["material"]`."""
+    import trimesh  # takes a second, and bodies that are only drawn do without
+
     return trimesh.Trimesh(
         vertices=whole.vertices, faces=whole.faces, face_attributes={"material": whole.material}, process=False
     )
@@ -118,10 +123,33 @@ def tube(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], material:
     return mesh_part(np.concatenate([start + radii[0] * around, end + radii[1] * around]), faces, material)
 
 
+_CORNERS = [[-1, 2, 0], [1, 2, 0], [-1, -2, 0], [1, -2, 0], [0, -1, 2], [0, 1, 2], [0, -1, -2], [0, 1, -2]]
+_CORNERS += [[2, 0, -1], [2, 0, 1], [-2, 0, -1], [-2, 0, 1]]
+_ICOSAHEDRON = [[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2]]
+_ICOSAHEDRON += [[10, 7, 6], [7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11]]
+_ICOSAHEDRON += [[6, 2, 10], [8, 6, 7], [9, 8, 1]]
+
+
 @lru_cache(maxsize=4)
 def _ball(subdivisions: int) -> tuple[Array, NDArray[np.int64]]:
-    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
-    return np.array(ball.vertices), np.array(ball.faces)
+    """Return vertices and faces of an icosphere of radius 1, bit for bit those of trimesh, which is slow to import."""
+    short, long = 0.5257311121191336, 0.85065080835204
+    vertices = np.array([0.0, short, long, -long, -short])[np.array(_CORNERS)]
+    faces = np.array(_ICOSAHEDRON, np.int64)
+    for _ in range(subdivisions):
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        _, first, row = np.unique(edges[:, ::-1], axis=0, return_index=True, return_inverse=True)
+        middle = row.reshape(-1, 3) + len(vertices)
+        vertices = np.concatenate([vertices, vertices[edges[first]].mean(axis=1)])
+        (a, b, c), (ab, bc, ca) = faces.T, middle.T
+        faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+        vertices = _on_unit_sphere(vertices)
+    return (vertices if subdivisions else _on_unit_sphere(vertices)), faces
+
+
+def _on_unit_sphere(vertices: Array) -> Array:
+    radius = np.sqrt(np.dot(vertices**2, [1, 1, 1]))[:, None]
+    return vertices + vertices / radius * (1.0 - radius)
 
 
 def ellipsoid(center: ArrayLike, radii: ArrayLike, material: str, subdivisions: int = 1) -> MeshPart:
@@ -216,6 +244,8 @@ def _triangles(polygon: shapely.Polygon) -> tuple[Array, NDArray[np.int64]]:
         (ax, ay), (bx, by), (cx, cy), _ = corners.tolist()
         left = (bx - ax) * (cy - ay) > (by - ay) * (cx - ax)
         return corners, np.array([[2, 0, 1] if left else [1, 3, 2]], np.int64)
+    import trimesh
+
     flat, faces = trimesh.creation.triangulate_polygon(polygon, engine="earcut")
     flat, faces = np.asarray(flat, np.float64)[:, :2], np.asarray(faces, np.int64)
     a, b, c = (flat[faces[:, k]] for k in range(3))

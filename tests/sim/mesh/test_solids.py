@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import shapely
+import trimesh
 
 from sim.mesh.solids import MeshPart, box, carpet, ellipsoid, fit, join, move, prism, ring, slab, strip, to_mesh, tube
 
@@ -68,3 +69,11 @@ def test_a_strip_faces_upwards() -> None:
     line = np.array([[0.0, 0.0], [5.0, 1.0], [9.0, 0.0]])
     mesh = to_mesh(strip(line + np.array([0, 0.5]), line - np.array([0, 0.5]), level, 0.0, "marking"))
     assert (mesh.face_normals[:, 2] > 0.99).all() and mesh.area == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize("subdivisions", [0, 1, 2])
+def test_balls_are_trimeshs_to_the_bit(subdivisions):
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
+    part = ellipsoid([0, 0, 0], [1, 1, 1], "glass", subdivisions)
+    assert np.array_equal(part.vertices, ball.vertices)
+    assert np.array_equal(part.faces, ball.faces)

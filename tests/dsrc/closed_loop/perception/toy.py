@@ -36,7 +36,7 @@ def build(monkeypatch: pytest.MonkeyPatch) -> None:
 def show(monkeypatch: pytest.MonkeyPatch, world: Callable[[Scenario, int], trimesh.Trimesh]) -> None:
     """Put a world in place of every scenario's, recorded or sensed, and none of them on disk."""
     monkeypatch.setattr("sim.world.build.build_world", world)
-    monkeypatch.setattr(kept, "_world", world)
+    monkeypatch.setattr(kept, "kept_world", world)
     kept._scene.cache_clear()
 
 
