@@ -116,6 +116,14 @@ class Tracker:
         self._now_s = time_s
         return self._tracks(time_s)
 
+    def perceived(self) -> tuple[Tracks, NDArray[np.bool_]]:
+        """Return the N tracks that the newest percept has boxes of, tentative ones too, and (N,) which are confirmed.
+
+        Here `object_id` is the number of a track's first box, which it keeps.
+        """
+        bank = self._bank[self._bank.seen_s == self._bank.time_s]
+        return _as_tracks(bank, bank.time_s, bank.birth), bank.number >= 0
+
     def _measured(self, percept: Percept) -> Measured:
         return Measured.of(percept, self._table, self.settings.reported_position_m)
 
@@ -425,18 +433,23 @@ class Tracker:
         rows = order[self._bank.number[order] >= 0]
         confirmed = self._bank if np.array_equal(rows, np.arange(len(self._bank))) else self._bank[rows]
         bank, _ = self._predicted(confirmed, max(time_s, confirmed.time_s))
-        box, mean, covariance = bank.box, bank.state.mean, bank.state.covariance
-        xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
-        largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-        return Tracks(
-            time_s=time_s,
-            boxes=Boxes(box[:, :3], box[:, 3:6], box[:, 6], bank.label, bank.number),
-            velocity=mean[:, VX : VY + 1].copy(),
-            yaw_rate=mean[:, RATE].copy(),
-            position_sd=np.sqrt(largest),
-            score=bank.score,
-            unseen_s=np.maximum(time_s - bank.seen_s, 0.0),
-        )
+        return _as_tracks(bank, time_s, bank.number)
+
+
+def _as_tracks(bank: Bank, time_s: float, number: Integers) -> Tracks:
+    """Return tracks at an instant under their numbers (N,)."""
+    box, mean, covariance = bank.box, bank.state.mean, bank.state.covariance
+    xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+    largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+    return Tracks(
+        time_s=time_s,
+        boxes=Boxes(box[:, :3], box[:, 3:6], box[:, 6], bank.label, number),
+        velocity=mean[:, VX : VY + 1].copy(),
+        yaw_rate=mean[:, RATE].copy(),
+        position_sd=np.sqrt(largest),
+        score=bank.score,
+        unseen_s=np.maximum(time_s - bank.seen_s, 0.0),
+    )
 
 
 def _columns(motion: Motion) -> list[float]:

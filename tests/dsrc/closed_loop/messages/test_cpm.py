@@ -124,3 +124,27 @@ def test_an_agent_that_sees_nothing_still_sends_once_a_second(count: int) -> Non
     sender = CpmSender()
     sent = [sender.message(seen(*[(5.0, 5.0, CAR)] * count), 0.1 * step, HERE) is not None for step in range(30)]
     assert sum(sent) == 3
+
+
+@pytest.mark.parametrize("label", [CAR, WALKER])
+def test_a_new_object_is_in_the_next_message_before_its_track_is_confirmed(label: int) -> None:
+    """ETSI TS 103 324, 6.1.2.3: told when first detected; its quality by 7.1.8.6 is above the threshold of 3."""
+    sender, told = CpmSender(), []
+    for step in range(4):
+        found = seen((10.0 + 1.0 * step, 3.0, label))
+        message = sender.message(Objects(found.boxes, np.array([0.45]), found.velocity), 0.1 * step, HERE)
+        told.append(message.objects if message is not None else found[:0])
+    assert len(told[0]) == 1 and np.isnan(told[0].velocity).all(), "no motion is known of a first box"
+    again = next(one for one in told[1:] if len(one))
+    assert again.velocity[0, 0] > 1.0 and again.boxes.object_id == told[0].boxes.object_id
+
+
+def test_a_ghost_of_one_detection_is_told_once_and_believed_for_one_instant() -> None:
+    sender, picture, counts = CpmSender(), CpmPicture(), []
+    for step in range(5):
+        found = seen(*([(10.0, 3.0, CAR)] if step == 1 else []))
+        message = sender.message(Objects(found.boxes, np.full(len(found), 0.3), found.velocity), 0.1 * step, HERE)
+        if message is not None:
+            picture.hear(message)
+        counts.append(len(picture.objects(0.1 * step)))
+    assert counts == [0, 1, 0, 0, 0]
