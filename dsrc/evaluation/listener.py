@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import Sample, SampleDetector, first_agents, make_sample
+from dsrc.data.sample import Sample, SampleDetector, first_agents, make_sample, users_in
 from dsrc.faults.condition import faults_of
 from dsrc.faults.kinds import Bias
 from dsrc.messages.attacks import Attacks, Lie
@@ -118,7 +118,9 @@ class Listener:
         self._rule = "" if self._exact else messages.removeprefix(CPM).removeprefix("-")
         self._inbox, self._seed = Inbox(faults_of(condition), defence), seed
         self._made: dict[int, tuple[Objects, dict[int, Cpm]]] = {}
-        if receiver is not None and self._says:
+        self._condition = condition
+        if receiver is not None:
+            self._honest = self._said_bytes if self._says else receiver.payload
             receiver.payload = self._bytes
 
     def measure(self, past: Sequence[Frame], recorded: Sequence[Frame], whole: Sample) -> None:
@@ -181,6 +183,17 @@ class Listener:
         places = {agent: frame.agent(agent).sweep.world_from_lidar[:2, 3] for agent in others}
         return own, told_at_once(dict(zip(others, found, strict=True)), places, frame.time_s, self._rule, self._exact)
 
-    def _bytes(self, frame: Frame, row: int) -> int:
+    def _said_bytes(self, frame: Frame, row: int) -> int:
         message = self._said(frame)[1].get(frame.agents[row].agent_id)
         return 0 if message is None else message.bytes
+
+    def _bytes(self, frame: Frame, row: int) -> int:
+        agent, honest = frame.agents[row].agent_id, self._honest(frame, row)
+        if not (honest and lies(self._condition)):
+            return honest
+        if self._says:
+            seen = self._said(frame)[1][agent].objects.boxes
+        else:
+            users = users_in(frame.truth, self._detector.settings.users)
+            seen = frame.truth[users & (frame.points_on[row] >= 1)]
+        return honest + _attacks(frame, self._condition, self._seed).more_bytes(agent, seen, frame.time_s)

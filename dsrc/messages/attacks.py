@@ -22,6 +22,7 @@ from sensors.frame import AgentFrame
 from sensors.sweep import ADDED, SCATTERED, Sweep
 from sim.boxes import Boxes
 from sim.geometry import invert, pose_matrix
+from sim.radio import CPM_BYTES_PER_OBJECT
 from sim.rows import stacked
 from sim.streams import Stream, random_generator
 from sim.traffic.base import POSITION_M, from_steps
@@ -66,6 +67,7 @@ class Attacks:
         self._ghosts: dict[int, Boxes] = {}
         self._keep_s = max([one.value for one in self._faults if one.kind == "replay"], default=0.0)
         self._past: dict[int, deque[Message]] = {}
+        self._seen: dict[int, list[tuple[float, Boxes]]] = {}
 
     def aim(self, ego: Boxes, route: NDArray[np.float64], time_s: float) -> None:
         """Tell the liars where the ego is and goes; a ghost that it has passed stands ahead of it again.
@@ -107,6 +109,27 @@ class Attacks:
             return message
         moved = ~_within(sent.objects.boxes, message.objects.boxes, _MOVED_M)
         return replace(sent, attacked=True, false=moved)
+
+    def more_bytes(self, sender: int, seen: Boxes, time_s: float) -> int:
+        """Return by how much a helper's message is larger than the honest one, which tells of what it sees.
+
+        Args:
+            seen: world frame; the messages of a sender come in their order.
+            time_s: of the episode.
+        """
+        past, told = self._seen.setdefault(sender, []), seen
+        past.append((time_s, seen))
+        for number, fault in enumerate(self._faults):
+            if not self._lies(fault, sender, time_s):
+                continue
+            if isinstance(fault.settings, Ghost):
+                told = stacked(told, *self._ghost(number))
+            elif isinstance(fault.settings, Remove):
+                told = told[_aside(told, self._route) > fault.settings.aside_m]
+            elif isinstance(fault.settings, Seconds):
+                old = [boxes for since_s, boxes in past if since_s <= time_s - fault.settings.seconds + _SLACK_S]
+                told = old[-1] if old else past[0][1]
+        return CPM_BYTES_PER_OBJECT * (len(told) - len(seen))
 
     def measured(self, agent: AgentFrame, truth: Boxes, time_s: float) -> Sweep:
         """Return the sweep that a helper shares in place of its own: its points lie as its boxes would.

@@ -74,6 +74,10 @@ class Inbox:
                     expected = f"ids among the helpers {list(helpers)}"
                     raise SettingsError(complaint("perception", f"fault '{fault.text}'", expected, found))
 
+    def more_bytes(self, sender: int, seen: Boxes, time_s: float) -> int:
+        """Return what a lie adds to the bytes of a message of an instant, see `Attacks.more_bytes`."""
+        return self._attacks.more_bytes(sender, seen, time_s - (self._start_s or 0.0))
+
     def read(self, own: Message, told: Sequence[Message]) -> Mail:
         """Return the messages of an instant.
 

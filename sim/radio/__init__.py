@@ -20,6 +20,7 @@ Every draw is a function of the seed, the link and the number of the instant, wh
 """
 
 from sim.radio.budget import (
+    CPM_BYTES_PER_OBJECT,
     airtime_s,
     cpm_bytes,
     delivery_probability,
@@ -44,6 +45,7 @@ from sim.radio.spec import (
 __all__ = [
     "CHANGES",
     "Channel",
+    "CPM_BYTES_PER_OBJECT",
     "ChannelSpec",
     "HEARING_M",
     "IDEAL",

@@ -24,7 +24,7 @@ from dsrc.ops.detections import Detections
 from sensors.corruptions import Condition
 from sensors.frame import Frame
 from sensors.recording.encounter_check import BRAKING_MPS2
-from sim.boxes import VEHICLES, Boxes
+from sim.boxes import CLASSES, VEHICLES, Boxes
 from sim.errors import SettingsError, complaint
 from sim.geometry import invert
 from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
@@ -119,6 +119,9 @@ class DetectorPerception:
             joined,
             radio_faults(self.faults, self.channel, interval_s, ego_id),
         )
+        honest = self._receiver.payload
+        self._more_bytes: dict[tuple[int, int], int] = {}
+        self._receiver.payload = lambda frame, row: honest(frame, row) + self._more_bytes.get((frame.index, row), 0)
 
     @property
     def sensed(self) -> Frame | None:
@@ -147,8 +150,14 @@ class DetectorPerception:
             self._sense(before, now, claims)
 
     def _sense(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Frame:
-        self._past.appendleft(self.senses.frame(before, now, claims))
-        return self._past[0]
+        frame = self.senses.frame(before, now, claims)
+        self._past.appendleft(frame)
+        if any(fault.attack for fault in self.faults):
+            known = np.isin(frame.truth.label, [CLASSES.index(name) for name in self.classes])
+            for row, agent in enumerate(frame.agents):
+                seen = frame.truth[known & (frame.points_on[row] >= 1)]
+                self._more_bytes[frame.index, row] = self._inbox.more_bytes(agent.agent_id, seen, frame.time_s)
+        return frame
 
     def aim(self, ego: EgoState) -> None:
         """Tell attackers where the ego is and goes."""

@@ -16,7 +16,7 @@ _ABOUT = (
     "an overlap of 0.5; false boxes: such detections that hit none, in a frame. Attacks refused: of the false "
     "objects told those refused. Wrongly refused: of the messages without a lie, those of liars with nothing to remove "
     "among them, those of which an object was refused. Both are unknown where helpers tell no boxes. Sent: by all "
-    "helpers for a frame, if all were honest."
+    "helpers for a frame."
 )
 
 

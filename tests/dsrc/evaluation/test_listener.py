@@ -75,6 +75,16 @@ def test_who_tells_of_nobody_leaves_the_ego_alone(drive: Path) -> None:
     assert silent.matches.truth == alone.matches.truth, "the truth stays"
 
 
+@pytest.mark.parametrize("messages", ["", "cpm"])
+def test_a_lie_is_sent_with_its_own_bytes(drive: Path, messages: str) -> None:
+    sent = [
+        heard(drive, text, "ideal", messages=messages).traffic[:, 0]
+        for text in ("", GHOST, f"{GHOST} on -1", "false_pose:4", "remove")
+    ]
+    assert (sent[1] == sent[0] + 2 * 35).all() and (sent[2] == sent[0] + 35).all() and (sent[3] == sent[0]).all()
+    assert (sent[4] == 2 * 156).all(), "a message of nobody"
+
+
 def test_rates_are_of_messages(drive: Path) -> None:
     rows = [heard(drive, f"ghost:{share},ahead_m=9").told[:, 0].sum() for share in (0.0, 0.5, 1.0)]
     assert rows[0] == 0 and 0 < rows[1] < rows[2] == 6

@@ -53,6 +53,18 @@ def test_a_ghost_stands_on_the_route_around_the_corner_and_is_told_by_all_liars_
     assert not sent("ghost:1,ahead_m=100", drives(1))[0].attacked  # the route ends before
 
 
+@pytest.mark.parametrize(
+    "text", ["ghost:1,ahead_m=50", "remove", "ghost + remove", "replay:0.4", "false_pose:3", "ghost:0.5", "ghost on -1"]
+)
+def test_a_lie_has_the_bytes_of_the_objects_that_it_tells(text: str) -> None:
+    honest = [message(HELPER, objects(*[(4.0 * n, 8.0) for n in range(k)]), (50.0, 10.0), 0.2 * k) for k in range(6)]
+    attacks, lies = Attacks(parse_faults(text), 0, EGO), sent(text, honest)
+    for one, lie in zip(honest, lies, strict=True):
+        attacks.aim(ego().box, ego().route, one.time_s)
+        more = attacks.more_bytes(one.sender, one.objects.boxes, one.time_s)
+        assert more == 35 * (len(lie.objects) - len(one.objects))
+
+
 def test_a_ghost_stays_where_it_is_until_the_ego_has_passed_it() -> None:
     attacks = Attacks(parse_faults("ghost"), 0, EGO)
     places = []
