@@ -43,7 +43,7 @@ _DEPTH = 4
 """Levels of folders between a manifest and its files: those of DAIR-V2X's."""
 _HASH = re.compile(r"[0-9a-f]{32}")
 """Name of a cached result: the hash of what it depends on."""
-_CACHES = ("cells", "episodes", "encounters", "worlds", "causes")
+_CACHES = ("cells", "episodes", "encounters", "worlds", "causes", "code")
 """Folders of cached results: elsewhere others have names like these, as nuScenes has."""
 
 Content = bytes | bytearray | str | Iterator[bytes | bytearray]

@@ -4,32 +4,30 @@ Imports are read from the source, also those inside functions: nothing is import
 counts as its `source_hash`, a data file as its bytes.
 """
 
-import ast
 import hashlib
 import inspect
 import sys
 import textwrap
-import threading
 import uuid
 from collections.abc import Iterable, Iterator
 from functools import cache, partial
-from importlib.metadata import entry_points, packages_distributions, version
+from importlib import metadata
+from importlib.metadata import entry_points, version
 from pathlib import Path
 from typing import Any
 
 from sim.files import file_sha256
-from sim.kept.source_hash import for_type_checkers, source_hash, tree_hash
+from sim.kept.read_sources import read_source, remember
+from sim.kept.source_hash import source_hash
 
 _REPOSITORY = Path(__file__).resolve().parents[2]
 _PACKAGES = ("sim", "sensors", "dsrc")
 """Ours; where they are installed, their folder holds everybody's."""
 _BEHIND = {"sim.roads.tools": "eclipse-sumo", "trimesh": "mapbox_earcut"}
 """Packages behind modules that call them without an import: programs and roads of SUMO, and triangles of surfaces."""
-_IMPORTS = (ast.Import, ast.ImportFrom, ast.Call)
-_parsing = threading.Lock()
-"""Two threads that parse at once confuse Python 3.11's count of the depth (python/cpython#106905)."""
 _EXTENSIONS = ("dsrc.corruptions", "dsrc.fusions", "dsrc.sensors")
 """Entry point groups of packages whose code ours can call."""
+packages_distributions = cache(metadata.packages_distributions)
 
 
 @cache
@@ -38,6 +36,7 @@ def code_hash(entry: str, root: Path = _REPOSITORY) -> str:
     total = hashlib.sha256()
     for path in code_files(entry, root):
         total.update(f"{path.relative_to(root).as_posix()} {_code_sha256(path)}\n".encode())
+    remember()
     return total.hexdigest()
 
 
@@ -91,18 +90,7 @@ def sources_hash(folders: Iterable[str], file: Path | None) -> str:
 
 
 def _code_sha256(path: Path) -> str:
-    return _parsed(path.read_bytes())[0] if path.suffix == ".py" else file_sha256(path)
-
-
-@cache
-def _parsed(source: bytes) -> tuple[str, tuple[ast.AST, ...]]:
-    """Return the hash of a source, and its nodes that import; none of one that is no Python."""
-    try:
-        with _parsing:
-            tree = ast.parse(source)
-    except (SyntaxError, ValueError):
-        return source_hash(source), ()
-    return tree_hash(tree), tuple(node for node in _run(tree, b"import_module" in source) if isinstance(node, _IMPORTS))
+    return read_source(path.read_bytes()).sha256 if path.suffix == ".py" else file_sha256(path)
 
 
 def _python_files(folder: Path) -> list[Path]:
@@ -162,32 +150,11 @@ def _imports(path: Path, name: str) -> tuple[str, ...]:
     """Return the names that a module imports: modules, and names that may be modules of a package."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     found: list[str] = []
-    for node in _parsed(path.read_bytes())[1]:
-        if isinstance(node, ast.Import):
-            found += (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            parts = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            base = ".".join([*parts, *([node.module] if node.module else [])])
-            found += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "import_module":
-            found += (arg.value for arg in node.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str))
+    for level, module, names in read_source(path.read_bytes()).imports:
+        parts = package.split(".")[: len(package.split(".")) - level + 1] if level else []
+        base = ".".join([*parts, *([module] if module else [])])
+        found += [base, *(f"{base}.{one}" for one in names)]
     return tuple(found)
-
-
-def _run(tree: ast.AST, expressions: bool) -> Iterator[ast.AST]:
-    """Yield the nodes of a tree without those for type checkers alone.
-
-    Args:
-        expressions: yield those inside expressions too, where no statement can be.
-    """
-    waiting = [tree]
-    while waiting:
-        for node in ast.iter_child_nodes(waiting.pop()):
-            if for_type_checkers(node):
-                continue
-            yield node
-            if expressions or not isinstance(node, ast.expr):
-                waiting.append(node)
 
 
 def _data(folder: Path) -> Iterator[Path]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Hashable, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -53,12 +54,16 @@ def rate(events: Sequence[float], level: float = LEVEL) -> Estimate:
         events: 1 or 0 for each episode.
         level: share of samples whose interval holds the true value.
     """
+    return _wilson(round(sum(events)), len(events), level)
+
+
+@cache
+def _wilson(events: int, n: int, level: float) -> Estimate:
     from scipy import stats  # two seconds, and most processes need no interval
 
-    n = len(events)
     if not n:
         return UNKNOWN
-    test = stats.binomtest(round(sum(events)), n)
+    test = stats.binomtest(events, n)
     bounds = test.proportion_ci(level, method="wilson")
     return Estimate(test.statistic, float(bounds.low), float(bounds.high))
 
@@ -72,9 +77,14 @@ def mean(values: Sequence[float], level: float = LEVEL, seed: int = 0) -> Estima
     Args:
         level: share of samples whose interval holds the true value.
     """
+    return _bca(np.array(values, np.float64).tobytes(), level, seed)
+
+
+@cache  # a report asks for the same mean in several tables
+def _bca(values: bytes, level: float, seed: int) -> Estimate:
     from scipy import stats
 
-    known = np.array(values, np.float64)
+    known = np.frombuffer(values)
     known = known[np.isfinite(known)]
     if not len(known):
         return UNKNOWN

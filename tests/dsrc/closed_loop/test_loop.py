@@ -257,6 +257,7 @@ def test_a_replay_shows_the_same_and_other_eyes_see_something_else(tmp_path: Pat
     assert min(tick.decision.acceleration_mps2 for tick in blind.ticks) > braked
 
 
+@pytest.mark.slow
 def test_on_uneven_ground_the_ego_arrives_and_the_log_keeps_how_all_stand(tmp_path: Path) -> None:
     scenario = msgspec.structs.replace(load_scenario("ima_building"), world=2)
     loop = ClosedLoop(scenario, TruthPerception())
@@ -305,6 +306,7 @@ def test_the_driver_gets_the_lanes_of_its_roads() -> None:
     assert lanes("highway_env_merge") is None
 
 
+@pytest.mark.slow
 def test_on_its_lane_the_oncoming_car_is_no_reason_for_an_emergency() -> None:
     """Straight on, the car in the bend would leave its lane and meet the ego that overtakes."""
     loop = drive("dnpw_overtake:no_occluder")

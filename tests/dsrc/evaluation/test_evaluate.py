@@ -156,6 +156,7 @@ def test_a_fault_is_a_row_and_one_that_says_a_corruption_or_a_channel_has_its_nu
     assert evaluate_drives(late)[0].metrics == by_kind["delay:0.1"].metrics != by_kind["clean"].metrics
 
 
+@pytest.mark.slow
 def test_causes_know_the_age_of_messages_of_what_delays_them(world: Path) -> None:
     config = config_of(world, "late", corruption=("clean",), fault=("delay:0.1",), ego_alone=False)
     evaluate_drives(config)

@@ -93,6 +93,7 @@ def test_a_row_of_a_benchmark_says_what_an_evaluation_says(
     assert any(row.metrics["ap_bev_30"] > 0 for row in direct)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_resumes_to_the_same_bytes(
     done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -35,9 +35,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("fusion", "choice"),
     [
         ("attention", {"epoch_frames": 2, "ema": 0.9, "half": False}),
-        ("attention", {"keep": "best", "validation_share": 0.25, "half": False}),
+        pytest.param("attention", {"keep": "best", "validation_share": 0.25, "half": False}, marks=pytest.mark.slow),
         pytest.param("cobevt", {}, marks=pytest.mark.slow),  # draws while it trains
-        ("max", {"consistency": 1.0, "augmentation": Augmentation(corruption=0.7, kinds=("noise", "point_dropping"))}),
+        pytest.param(
+            "max",
+            {"consistency": 1.0, "augmentation": Augmentation(corruption=0.7, kinds=("noise", "point_dropping"))},
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_resumed_training_ends_with_the_same_weights(
@@ -65,6 +69,7 @@ def test_a_resumed_training_ends_with_the_same_weights(
     assert list((tmp_path / "cut/tensorboard").glob("events*"))
 
 
+@pytest.mark.slow
 def test_teacher_then_student_with_all_designs(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("dsrc.training.recipes", fromlist=["x"]).RECIPES, "debug", tiny)
     path = train_stages("debug", data=data, out=tmp_path, epochs=2)
@@ -78,7 +83,9 @@ def test_teacher_then_student_with_all_designs(data: Path, tmp_path: Path, monke
     student.detect(sample)
 
 
-@pytest.mark.parametrize("fusion", ["none", "late", "early", "where2comm"])
+@pytest.mark.parametrize(
+    "fusion", ["late", "where2comm", *(pytest.param(one, marks=pytest.mark.slow) for one in ("none", "early"))]
+)
 def test_other_fusions_train_and_detect(data: Path, tmp_path: Path, fusion: str) -> None:
     recipe = tiny()
     path = train(replace(recipe, epochs=1, model=replace(recipe.model, fusion=fusion)), data, tmp_path, "plain")

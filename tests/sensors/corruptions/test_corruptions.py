@@ -356,6 +356,7 @@ def digest_of(task: tuple[str, Family, int]) -> bytes:
         return digest(corrupt_frame(frame(index), kind, 4, 9, family))
 
 
+@pytest.mark.slow
 def test_a_fresh_process_gives_the_same_bytes() -> None:
     """Independence of tables, pools and global generators of the process."""
     tasks = [(kind, family, index) for kind, family in MODELS for index in (3,)]

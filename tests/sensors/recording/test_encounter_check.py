@@ -49,9 +49,8 @@ def test_the_proof_holds(kind: str, seed: int) -> None:
 @pytest.mark.parametrize(
     "kind",
     [
-        "ima_building",
         "ped_dartout",
-        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("lta_truck", "eebl_chain")),
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("ima_building", "lta_truck", "eebl_chain")),
     ],
 )
 def test_the_proof_holds_on_uneven_ground(kind: str, seed: int) -> None:
@@ -124,9 +123,8 @@ def test_a_control_of_a_shipped_scenario_has_a_name() -> None:
         load_scenario("four_way:ghost")
 
 
-@pytest.mark.parametrize(
-    "name", ["braunschweig_lta_truck", pytest.param("braunschweig_red_light_runner", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["braunschweig_lta_truck", "braunschweig_red_light_runner"])
 def test_encounters_at_a_real_junction_hold_and_their_controls_fail(name: str) -> None:
     found = find_encounter(load_scenario(name), SEED)
     assert found.proof.holds and found.proof.helper_ttc_s >= found.proof.critical_ttc_s + AHEAD_S

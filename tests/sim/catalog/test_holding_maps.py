@@ -89,6 +89,7 @@ def test_one_gate_of_a_closed_town_does_not_take_all_trips(tmp_path: Path) -> No
     assert len(routes.edges) > 500
 
 
+@pytest.mark.slow
 def test_a_road_too_short_for_a_drive_is_seen_by_its_roadside_unit_alone(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -36,7 +36,7 @@ def near(actors: Actors, scenario: Scenario, margin: float) -> np.ndarray:
     return (x > x_min - margin) & (x < x_max + margin) & (y > y_min - margin) & (y < y_max + margin)
 
 
-@pytest.mark.parametrize("name", every(quick=("four_way", "rilsa_1")))
+@pytest.mark.parametrize("name", every(quick=("four_way",)))
 def test_traffic_stays_physical_for_a_minute(name: str) -> None:
     scenario = at_hand(name)
     with SumoTraffic(scenario, 1) as traffic:

@@ -29,8 +29,17 @@ from tests.sim.roads.places import MOTORWAYS, PLACES, at_hand
 SOLID = ("brick", "plaster", "concrete", "roof", "glass", "metal", "dark_metal", "hedge", "bark", "leaves", "kerb")
 OF_SUMO = [name for name in list_scenarios() if not load_scenario(name).network.highway_env]
 # The places have tests of their own, tests/sim/roads; few are looked at here too.
-NAMES = [name for name in OF_SUMO if name not in PLACES or name in ("braunschweig", "four_way", "helsinki", "highway")]
-TOWNS = [name for name in NAMES if name in PLACES and name not in MOTORWAYS]
+ALL = [name for name in OF_SUMO if name not in PLACES or name in ("braunschweig", "four_way", "helsinki", "highway")]
+LARGE = ("braunschweig", "helsinki")
+"""Towns whose worlds, and those of the encounters in them, are built in the slow tests."""
+
+
+def some(names: list[str]) -> list:
+    return [pytest.param(one, marks=pytest.mark.slow) if one.startswith(LARGE) else one for one in names]
+
+
+NAMES = some(ALL)
+TOWNS = some([name for name in ALL if name in PLACES and name not in MOTORWAYS])
 
 Worlds = Callable[[str], tuple[trimesh.Trimesh, Streets]]
 """World and streets of a scenario by its name."""
@@ -161,15 +170,15 @@ def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds: Worl
     assert np.isin(seen, ["brick", "plaster", "concrete", "glass"]).sum() > 200
 
 
-def test_a_mast_does_not_stand_before_its_roadside_sensor(worlds: Worlds) -> None:
-    for name in NAMES:
-        units = load_scenario(name).agents.roadside
-        mesh, _ = worlds(name)
-        for unit in units:
-            angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)
-            way = np.column_stack([np.cos(angle), np.sin(angle), np.full(360, -np.tan(np.radians(30.0)))])
-            distance, _ = look(mesh, np.tile(unit.xyz_m, (360, 1)), way / np.linalg.norm(way, axis=1)[:, None])
-            assert distance.min() > 1.5
+@pytest.mark.parametrize("name", NAMES)
+def test_a_mast_does_not_stand_before_its_roadside_sensor(worlds: Worlds, name: str) -> None:
+    units = load_scenario(name).agents.roadside
+    mesh, _ = worlds(name)
+    for unit in units:
+        angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+        way = np.column_stack([np.cos(angle), np.sin(angle), np.full(360, -np.tan(np.radians(30.0)))])
+        distance, _ = look(mesh, np.tile(unit.xyz_m, (360, 1)), way / np.linalg.norm(way, axis=1)[:, None])
+        assert distance.min() > 1.5
 
 
 def test_a_world_depends_on_its_seed_only_where_no_map_tells() -> None:
@@ -212,11 +221,11 @@ def test_the_world_follows_the_heights_of_its_lanes(tmp_path: Path) -> None:
         assert blocked_share(scene, unit) < 0.05
 
 
-def test_towns_have_houses_kerbs_and_trees(worlds: Worlds) -> None:
-    for name in TOWNS:
-        mesh, _ = worlds(name)
-        found = set(names(mesh, np.arange(len(mesh.faces))))
-        assert {"roof", "kerb", "pavement", "leaves", "bark", "signal_lamp", "glass"} <= found
+@pytest.mark.parametrize("name", TOWNS)
+def test_towns_have_houses_kerbs_and_trees(worlds: Worlds, name: str) -> None:
+    mesh, _ = worlds(name)
+    found = set(names(mesh, np.arange(len(mesh.faces))))
+    assert {"roof", "kerb", "pavement", "leaves", "bark", "signal_lamp", "glass"} <= found
 
 
 def test_no_pavement_runs_along_a_motorway(worlds: Worlds) -> None:

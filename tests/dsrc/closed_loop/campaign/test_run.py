@@ -187,6 +187,7 @@ def test_other_workers_give_the_same_results(driven: Path, tmp_path: Path) -> No
     assert (tmp_path / "results.csv").read_bytes() == (driven / "results.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_more_seeds_keep_those_that_are_there(driven: Path, tmp_path: Path) -> None:
     out = tmp_path / "more"
     run_campaign(replace(PLAN, clean_seeds=1), out)
@@ -248,6 +249,7 @@ def test_a_report_has_every_perception_and_its_pictures(driven: Path) -> None:
     assert "| nothing | clean | 2 | 2 | 0 | 0 | 0 |" in text.partition("## What came late")[2]
 
 
+@pytest.mark.slow
 def test_encounters_of_a_class_that_a_perception_has_not_are_kept_apart(tmp_path: Path) -> None:
     blind = PerceptionSpec(name="vehicles only", uses=f"{EYES}:BlindForPeople")
     plan = replace(

@@ -169,6 +169,7 @@ def outcome(name: str, seed: int, driver: AnticipatingDriver | PlanningDriver) -
     return ClosedLoop(name, open_perception("sight"), driver, settings).run(seed)
 
 
+@pytest.mark.slow
 def test_with_the_same_eyes_it_avoids_a_crash_of_the_planner() -> None:
     assert outcome("lta_truck", 10, PlanningDriver()) is Outcome.CRASHED
     assert outcome("lta_truck", 10, AnticipatingDriver()) is Outcome.ARRIVED

@@ -170,6 +170,7 @@ def test_a_failed_drive_is_named_and_the_others_are_made(tmp_path: Path) -> None
     assert read_manifest(tmp_path / "out") == manifest
 
 
+@pytest.mark.slow
 def test_recordings_are_not_replaced_by_drives_nor_by_a_simulation_that_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,6 +38,7 @@ def frames_of(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.glob("*/*")) if p.is_file()}
 
 
+@pytest.mark.slow
 def test_without_changes_every_frame_is_the_same_without_sumo(drive: Path, tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules.update(dict.fromkeys(('libsumo', 'sumo', 'sumolib', 'traci', 'highway_env')))\n"

@@ -233,6 +233,7 @@ def test_a_page_sums_up_many_pairs_and_links_the_whole_table(tmp_path: Path) -> 
         assert ("[The whole table](results/made-up/differences.md)" in page) is (count == 2)
 
 
+@pytest.mark.slow
 def test_a_benchmark_writes_the_differences_of_what_it_ran(tmp_path: Path) -> None:
     write_drives(tmp_path / "test")
     pair = DifferenceSpec(method="DSRC", baseline="plain")

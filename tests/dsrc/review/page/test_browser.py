@@ -294,6 +294,7 @@ def test_what_cannot_be_drawn_is_told_on_the_page_and_the_next_frame_is_drawn(
     opened.page.wait_for("!document.body.innerText.includes('yaw of the bus')", PATIENCE_S)
 
 
+@pytest.mark.slow
 def test_a_chasing_camera_is_within_a_metre_after_300_frames(opened: Opened) -> None:
     session = opened.session
     session.place_camera("chase")
@@ -345,6 +346,7 @@ def test_a_narrow_window_starts_with_the_legend_alone_and_moves_no_other_browser
     wait_for(lambda: len(opened.app.sessions) == 1)
 
 
+@pytest.mark.slow
 def test_in_a_cell_of_half_a_narrow_window_the_sheet_of_panels_is_folded(opened: Opened) -> None:
     with open_page(f"{opened.app.url}/?fixedDpr=1", (365, 600)) as page:
         second = Opened(opened.app, page)

@@ -54,6 +54,7 @@ def shown(picture: np.ndarray, rgb: Sequence[int]) -> int:
     return int(np.count_nonzero(np.abs(picture - np.array(rgb)).max(axis=-1) <= 3))
 
 
+@pytest.mark.slow
 def test_lost_points_are_seen_in_their_colour_and_parameters_have_sliders(opened: tuple[BrowserPage, Session]) -> None:
     page, session = opened
     session.update(corruption="point_dropping", parameters=(("share", 0.6),), color_by="fate", point_size_m=0.3)

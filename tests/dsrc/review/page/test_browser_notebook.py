@@ -112,7 +112,13 @@ def evaluate_in(page: BrowserPage, script: str) -> Any:
             time.sleep(0.1)
 
 
-@pytest.mark.parametrize("hub", [False, True], ids=["this machine", "through a hub's proxy of ports"])
+@pytest.mark.parametrize(
+    "hub",
+    [
+        pytest.param(False, marks=pytest.mark.slow, id="this machine"),
+        pytest.param(True, id="through a hub's proxy of ports"),
+    ],
+)
 def test_a_cell_shows_the_page_inline_with_the_counts_of_the_run(run: Path, tmp_path: Path, hub: bool) -> None:
     base = "/user/me/" if hub else "/"
     prefix = {"JUPYTERHUB_SERVICE_PREFIX": base} if hub else {}

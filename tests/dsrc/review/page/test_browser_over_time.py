@@ -35,6 +35,7 @@ def test_a_click_on_a_plot_goes_to_its_instant_again_and_again(model: ReviewMode
         app.close()
 
 
+@pytest.mark.slow
 def test_a_click_on_a_bar_of_the_scores_selects_what_lies_there(model: ReviewModel) -> None:
     app = ReviewApp(model, start_server())
     bars = "[...document.querySelectorAll('svg[data-ends]')].find(e=>e.textContent.startsWith('scores of hits'))"

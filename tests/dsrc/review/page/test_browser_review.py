@@ -33,6 +33,7 @@ def press_n(opened: Opened, shift: bool = False) -> None:
     opened.key("N" if shift else "n", code="KeyN", text="n", windowsVirtualKeyCode=78, modifiers=8 if shift else 0)
 
 
+@pytest.mark.slow
 def test_n_flies_to_the_next_missed_object_and_says_when_there_is_none(model: ReviewModel) -> None:
     app = ReviewApp(model, start_server())
     try:
@@ -131,11 +132,13 @@ def test_the_first_picture_does_not_wait_for_the_detector(drive: FakeDrive) -> N
 @pytest.mark.parametrize(
     ("link", "line", "frame"),
     [
-        ("frame=40", "link: frame: expected 0 to 11, found 40", 11),
+        pytest.param("frame=40", "link: frame: expected 0 to 11, found 40", 11, marks=pytest.mark.slow),
         ("frame=4&object=77", "link: object: expected one of the objects of street, found 77", 4),
-        ("frame=4&ego=5", "link: ego: expected agents of frame 4, 1000, 1002, -1, found 5", 4),
+        pytest.param(
+            "frame=4&ego=5", "link: ego: expected agents of frame 4, 1000, 1002, -1, found 5", 4, marks=pytest.mark.slow
+        ),
         ("drive=gone&frame=4&object=1003", "link: drive: expected street, found gone", 0),
-        ("frame=4&corruption=gone", "link: corruption: expected clean, ", 4),
+        pytest.param("frame=4&corruption=gone", "link: corruption: expected clean, ", 4, marks=pytest.mark.slow),
     ],
 )
 def test_a_link_to_what_is_gone_is_told_in_a_line_and_the_nearest_is_shown(
@@ -208,6 +211,7 @@ def proxy(port: int) -> Iterator[str]:
             one.close()
 
 
+@pytest.mark.slow
 def test_the_page_and_its_cells_work_below_a_path_of_a_proxy(model: ReviewModel) -> None:
     app = ReviewApp(model, start_server())
     try:

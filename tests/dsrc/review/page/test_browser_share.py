@@ -119,6 +119,7 @@ def test_a_picture_holds_the_scene_its_legend_and_the_card(opened: Opened, model
         assert np.count_nonzero(np.abs(scene - palette.FN).max(axis=-1) <= 3) > 30
 
 
+@pytest.mark.slow
 def test_a_picture_holds_the_whole_of_a_long_card(opened: Opened) -> None:
     session = opened.session
     scene, _ = picture_parts(session.model, session.state, session.view, np.zeros((400, 600, 3), np.uint8))
@@ -129,6 +130,7 @@ def test_a_picture_holds_the_whole_of_a_long_card(opened: Opened) -> None:
     assert np.count_nonzero((image == (0, 255, 0)).all(axis=-1)) > 50, "its last line"
 
 
+@pytest.mark.slow
 def test_the_copied_link_is_the_address_of_the_page(opened: Opened) -> None:
     page = opened.page
     page.send("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
@@ -143,7 +145,7 @@ def test_cells_are_shared_in_one_page_with_one_camera(model: ReviewModel, tmp_pa
     app = ReviewApp(model, start_server())
     links = [f"frame={frame}&score={score}" for frame, score in ((2, 0.3), (2, 0.7), (2, 0.8), (2, 0.5))]
     try:
-        with open_page(app.url + compare_address(*links), (1200, 800)) as page:
+        with open_page(app.url + compare_address(*links), (900, 600)) as page:
             page.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
             sessions = app.wait_session(4, PATIENCE_S)
             wait_for(lambda: all(one.pair is not None and one.view is not None for one in sessions))
@@ -157,7 +159,7 @@ def test_cells_are_shared_in_one_page_with_one_camera(model: ReviewModel, tmp_pa
     (out,) = tmp_path.glob("*.html")
     assert out.stat().st_size <= LARGEST
     cell = "document.getElementById('cell__N__')?.contentWindow"
-    with open_page(f"{out.as_uri()}?fixedDpr=1", (1200, 800)) as page:
+    with open_page(f"{out.as_uri()}?fixedDpr=1", (900, 600)) as page:
         for number, fn in enumerate(expected):
             own = cell.replace("__N__", str(number))
             page.wait_for(
@@ -171,6 +173,7 @@ def test_cells_are_shared_in_one_page_with_one_camera(model: ReviewModel, tmp_pa
                       f"{place.replace('__CELL__', cell.replace('__N__', '3'))}", PATIENCE_S)  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_ruler_laid_by_two_clicks_is_as_long_as_the_ground_between_them(model: ReviewModel) -> None:
     app = ReviewApp(model, start_server())
     # From 100 m above, the camera's vertical field of 0.9 rad is 96.6 m high.

@@ -19,6 +19,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.slow
 def test_boxes_have_the_colour_of_who_helped_until_the_verdict_is_asked_for() -> None:
     app = ReviewApp(ReviewModel([SharedSource(FakeDrive(), shared_street())], FakeDetector()), start_server())
     try:

@@ -64,6 +64,7 @@ def test_nothing_stands_on_a_lane(name: str) -> None:
     assert not shapely.intersects(lanes, _flat(solid)).any()
 
 
+@pytest.mark.slow
 def test_nothing_stands_in_a_parked_car() -> None:
     scenario, streets = furnished("rilsa_1"), streets_of("rilsa_1")
     cars = parked_cars(scenario, read_network(network_file(scenario, 1)), 1)

@@ -239,7 +239,7 @@ def test_a_page_and_its_picture_show_the_frame_that_their_text_names(drive: Fake
     with open_page(f"{out.resolve().as_uri()}?fixedDpr=1", (900, 400)) as opened:
         opened.wait_for("document.querySelector('[role=slider]')", 60.0)
         opened.evaluate("new Promise(done=>setTimeout(done,500))")
-        for keys in (("Home",), ("End",), ("Home", "End"), ("End", "Home"), ("middle",), ("End",), ("middle", "Home")):
+        for keys in (("End",), ("End", "Home"), ("middle",)):
             for key in keys:
                 if key == "middle":
                     for kind in ("mousePressed", "mouseReleased"):

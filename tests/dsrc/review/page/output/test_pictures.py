@@ -91,6 +91,7 @@ def test_a_picture_begins_from_what_it_is_given_and_the_link_comes_on_top(
     assert opened.value.args == (ReviewState(frame=5, corruption="fog", iou=0.7),)
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
 def test_a_view_is_drawn_without_panels_at_any_size(model: ReviewModel) -> None:
@@ -101,6 +102,7 @@ def test_a_view_is_drawn_without_panels_at_any_size(model: ReviewModel) -> None:
     assert (first != second).any()
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.skipif(find_chromium() is None, reason="needs Chromium")
 def test_a_frame_that_cannot_be_drawn_is_told_as_it_is(model: ReviewModel, monkeypatch: pytest.MonkeyPatch) -> None:
