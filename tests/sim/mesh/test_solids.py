@@ -72,7 +72,7 @@ def test_a_strip_faces_upwards() -> None:
 
 
 @pytest.mark.parametrize("subdivisions", [0, 1, 2])
-def test_balls_are_trimeshs_to_the_bit(subdivisions):
+def test_balls_are_trimeshs_to_the_bit(subdivisions: int) -> None:
     ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     part = ellipsoid([0, 0, 0], [1, 1, 1], "glass", subdivisions)
     assert np.array_equal(part.vertices, ball.vertices)
