@@ -131,6 +131,7 @@ def test_an_ego_believes_its_place_and_speed_and_the_world_moves_with_it() -> No
     assert slow.believed(ego, 2.0).speed_mps == pytest.approx(0.8 * ego.speed_mps) and slow.believed(ego, 5.0) is ego
 
 
+@pytest.mark.slow
 def test_a_wrong_place_of_who_sees_all_changes_no_distance_and_a_wrong_speed_does() -> None:
     well, moved, slow = (driven(text) for text in ("", "localisation_bias:2", "speed_reading:0.5"))
     assert moved.outcome is Outcome.ARRIVED

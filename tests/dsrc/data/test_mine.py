@@ -1,5 +1,6 @@
 """Encounters mined from a small map: hidden by rays, the same for the same seed, driven by whoever sees everybody."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,14 @@ GRID: dict[str, Any] = {"grid": True, "grid.number": 2, "grid.length": 150.0, "g
 def place(**generate: Any) -> Scenario:
     network = NetworkSpec(generate={**GRID, "default.lanenumber": 2, **generate})
     return Scenario(name="grid", description="", network=network, agents=AgentRule(lidar="vlp-16"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_place_at_once() -> Iterator[None]:
+    """The first places prove enough."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dsrc.data.mine._BATCH", 1)
+        yield
 
 
 @pytest.fixture(scope="module")

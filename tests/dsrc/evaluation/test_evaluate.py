@@ -202,6 +202,7 @@ def test_results_that_are_replaced_are_named(world: Path, caplog: pytest.LogCapt
     assert "again/results.csv: replaces the results of DSRC on test" in caplog.text
 
 
+@pytest.mark.slow
 def test_each_detector_has_a_row_per_channel_and_the_ego_alone_one(world: Path) -> None:
     config = config_of(world, "channels", corruption=("clean",), channel=("ideal", "its-g5-6"))
     rows = evaluate_drives(config)

@@ -163,6 +163,7 @@ def test_a_method_that_is_added_costs_its_own_cells_alone(
     assert run_plan(renamed, out).made == 0
 
 
+@pytest.mark.slow
 def test_cells_of_earlier_code_are_taken_when_asked_for(
     done: tuple[Path, BenchmarkResult], plan: Benchmark, root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

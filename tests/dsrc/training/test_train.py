@@ -258,6 +258,7 @@ def test_a_training_starts_from_the_weights_that_fit(data: Path, tmp_path: Path)
         train(wider, data, tmp_path / "second", "plain", seed=1)
 
 
+@pytest.mark.slow
 def test_a_teacher_that_starts_from_a_plain_student_sees_bare_points_as_that_does(data: Path, tmp_path: Path) -> None:
     first = train(tiny(epochs=1), data, tmp_path / "first", "plain")
     path = train(tiny(learning_rate=1e-12, epochs=1), data, tmp_path / "second", "teacher", seed=1, init=first)

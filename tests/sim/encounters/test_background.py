@@ -1,5 +1,6 @@
 """Background traffic: more vehicles, off the conflict, that touch nobody and stop for an ego that stops."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -13,6 +14,12 @@ from sim.traffic.script import FIRST_ID, ScriptedTraffic
 from tests.sim.encounters.test_encounters import encounter
 
 SEED = 1
+QUICK = ("lta_truck", "roundabout_entry", "cut_in_merge", "ped_dartout")
+"""Of the tests that drive every kind for seconds; the others are slow."""
+
+
+def some(kinds: Iterable[str]) -> list:
+    return [kind if kind in QUICK else pytest.param(kind, marks=pytest.mark.slow) for kind in kinds]
 
 
 def names(kind: str, **conflict: Any) -> list[str]:
@@ -30,7 +37,7 @@ def test_dense_is_more_than_light_and_the_encounter_itself_stays_the_same(kind: 
         assert (one.name, one.start_m, one.type_name) == (other.name, other.start_m, other.type_name)
 
 
-@pytest.mark.parametrize("kind", ENCOUNTERS)
+@pytest.mark.parametrize("kind", some(ENCOUNTERS))
 def test_nobody_touches_anybody_without_the_conflict(kind: str) -> None:
     with ScriptedTraffic(encounter(kind, traffic="dense", control="no_conflict"), SEED) as traffic:
         assert len(traffic.actors) > len(encounter_of(encounter(kind), SEED).layout.actors)
@@ -38,7 +45,7 @@ def test_nobody_touches_anybody_without_the_conflict(kind: str) -> None:
             assert len(overlapping_pairs(traffic.step().boxes)) == 0
 
 
-@pytest.mark.parametrize("kind", ["ima_building", "eebl_chain", "lta_truck"])
+@pytest.mark.parametrize("kind", some(["ima_building", "eebl_chain", "lta_truck"]))
 def test_nobody_rams_an_ego_that_stops_clear_of_the_conflict(kind: str) -> None:
     with ScriptedTraffic(encounter(kind, traffic="dense"), SEED) as traffic:
         while traffic.time_s < 12.0:

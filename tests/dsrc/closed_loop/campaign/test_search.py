@@ -37,6 +37,7 @@ class Late:
         return Percept(now.time_s, boxes, np.ones(len(boxes)), now.velocity[rows].copy())
 
 
+@pytest.mark.slow
 def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
 

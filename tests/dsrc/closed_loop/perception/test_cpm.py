@@ -43,6 +43,7 @@ def test_messages_are_smaller_than_those_of_all_boxes_and_tell_of_the_same_objec
     assert np.isnan(last.velocity).all() and (last.boxes.object_id == -1).all()
 
 
+@pytest.mark.slow
 def test_senders_that_leave_out_what_others_tell_send_less_and_the_ego_knows_of_as_many(loop: ClosedLoop) -> None:
     usual, less = percepts(loop, "cpm", "ideal"), percepts(loop, "cpm-dynamics", "ideal")
     sent = [sum(link.bytes_now for one in found for link in one.links) for found in (usual, less)]

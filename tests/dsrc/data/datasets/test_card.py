@@ -61,6 +61,7 @@ def test_a_card_has_its_pictures_and_says_where_it_comes_from(split: Path) -> No
     assert "which OPV2V leaves out" in text and "| toy_3 | OPV2V | 5 |" in text and "numpy" in text
 
 
+@pytest.mark.slow
 def test_the_same_drives_give_the_same_card_and_others_another(split: Path) -> None:
     folder = write_card(split, pool=Pool(2)).parent
     before = {path.name: path.read_bytes() for path in folder.iterdir()}

@@ -59,6 +59,7 @@ def test_bodies_hardly_ever_overlap(run: list[Actors]) -> None:
     assert np.mean([len(overlapping_pairs(boxes)) for boxes in rows]) < 0.1
 
 
+@pytest.mark.slow
 def test_parked_cars_keep_to_their_bays() -> None:
     scenario = varied("berlin")
     cars = parked_cars(scenario, read_network(resolve_network(scenario, SEED)), SEED)

@@ -354,7 +354,13 @@ def test_pedestrians_take_no_commands(traffic: SumoTraffic) -> None:
         traffic.command(999_999, 1.0)
 
 
-@pytest.mark.parametrize("name", ["braunschweig", "highway", "ingolstadt", "koenigs_wusterhausen"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "highway",
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("braunschweig", "ingolstadt", "koenigs_wusterhausen")),
+    ],
+)
 def test_shipped_scenario_runs(name: str) -> None:
     with SumoTraffic(quick(name, 20.0), 1) as traffic:
         for _ in range(50):

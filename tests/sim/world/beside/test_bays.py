@@ -115,6 +115,7 @@ def test_nothing_stands_on_the_carriageway_or_in_a_bay(seed: int) -> None:
     assert not over(street(parking=True).streets.road, low).any()
 
 
+@pytest.mark.slow
 def test_crowns_hang_over_bays_and_over_the_carriageway_from_its_clearance_on() -> None:
     lowest = []
     carriageway = shapely.box(WINDOW[0], -KERB_M + 0.01, WINDOW[2], KERB_M - 0.01)

@@ -102,6 +102,7 @@ def test_one_seed_gives_one_world() -> None:
     assert first.vertices.shape != other.vertices.shape
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ima_building", pytest.param("cyclist_right_hook", marks=pytest.mark.slow)])
 def test_encounters_keep_their_ground_clear(name: str) -> None:
     scenario = msgspec.structs.replace(load_scenario(name), world=2)
