@@ -106,13 +106,14 @@ def _object_card(details: ObjectDetails) -> str:
         (
             one.agent,
             f"{one.points}{'' if one.points == one.points_left else f' → {one.points_left}'}",
-            "–" if math.isnan(one.fraction) else f"{100 * one.fraction:.0f} %",
+            "" if math.isnan(one.fraction) else f"{100 * one.fraction:.0f} %",
         )
         for one in details.visibility
     ]
+    visible = "visible" if any(share for *_, share in rows) else ""
     head = f"<b>{details.class_name} {details.object_id}</b>, {_SEEN_BY[details.seen_by]}"
     said = paragraphs(head, why if details.verdict else "", plain(" · ".join(filter(None, parts))))
-    return said + html_table(("", "points", "visible"), rows) + _shares(details.shares)
+    return said + html_table(("", "points", visible), rows) + _shares(details.shares)
 
 
 def _detection_card(details: DetectionDetails) -> str:
@@ -201,6 +202,7 @@ def _moment_rows(view: FrameView) -> list[_Row]:
         ("plan", True, _Row(ego, "plan of three seconds")),
         ("links", bool(received.any()), _Row(ego, "message received")),
         ("links", not received.all(), _Row(palette.FP, "message lost, dashed")),
+        ("plan", moment.contact is not None, _Row(palette.FP, "contact: the ego, thick and crossed", boxes=True)),
         ("claims", len(moment.claims) > 0, _Row(made, "claimed by a liar, crossed", boxes=True)),
         ("seen", moment.unseen is not None, _Row(palette.UNSEEN[:3], "shaded: unseen in every sweep that arrived")),
     ]

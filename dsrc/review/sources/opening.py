@@ -32,7 +32,7 @@ def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> 
     | shares of `dsrc shares`               | their drives, with who helped                  |
     | run folder of a training              | its validation drives, with its newest weights |
     | an episode log (.npz)                 | the episode                                    |
-    | a folder of episode logs              | the episodes, sorted by name                   |
+    | a folder of episode logs              | the episodes, crashes first, by name           |
     | detections as of `dsrc score`         | boxes without clouds; also of results whose drives are gone |
     | a folder of runs                      | their sources; a drive of several runs once, with the methods of all |
 
@@ -61,9 +61,11 @@ def open_sources(path: Path, data: Path | None = None, engine: str = "auto") -> 
     if logs:
         # The closed loop takes a second to import.
         from dsrc.closed_loop.log import EpisodeLog
+        from dsrc.closed_loop.types import Outcome
         from dsrc.review.sources.episodes import episode_source
 
-        return [episode_source(EpisodeLog.load(log)) for log in logs]
+        episodes = [EpisodeLog.load(log) for log in logs]
+        return [episode_source(log) for log in sorted(episodes, key=lambda one: one.outcome != Outcome.CRASHED)]
     if path.suffix == ".json" or any(path.glob("*_pred.npy")) or (path.is_dir() and list_labels(path)):
         return _boxes(path)
     if runs := _runs(path):

@@ -19,3 +19,9 @@ def test_what_files_name_is_no_element_of_a_page(model: ReviewModel) -> None:
 def test_tables_of_cards_have_a_head_and_a_row_for_each_agent(model: ReviewModel) -> None:
     card = selection_report(model.view(ReviewState(object_id=1003)).details)
     assert cells(card)[0] == ["", "points", "visible"] and len(cells(card)) == 4
+
+
+def test_a_column_of_visibility_has_a_head_where_it_is_known(model: ReviewModel) -> None:
+    details = model.view(ReviewState(object_id=1003)).details
+    unknown = [replace(one, fraction=float("nan")) for one in details.visibility]
+    assert "visible" not in selection_report(replace(details, visibility=unknown))

@@ -4,7 +4,7 @@ from dsrc.review.page.page import Shown
 from dsrc.review.page.panels.panel import Panel, set_fields
 from dsrc.review.texts import summary
 
-_WIDTH_PX = 315
+_WIDTH_PX = 340
 """Of a window of 700 px less than half."""
 
 

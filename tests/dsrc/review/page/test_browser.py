@@ -230,14 +230,19 @@ def test_a_click_in_the_overview_opens_the_worst_of_a_cell_and_back_leads_out_ag
 
 def test_a_click_is_not_lost_where_the_table_is_written_anew_under_the_pressed_mouse(opened: Opened) -> None:
     session = opened.session
-    x, y = opened.resting_place_of(WORST)
     mouse = {"button": "left", "clickCount": 1}
-    opened.page.send("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **mouse)
-    opened.page.evaluate(f"(()=>{{const t=({WORST}).closest('table').parentElement;t.innerHTML=t.innerHTML;}})()")
-    opened.page.send("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **mouse)
+    anew = f"""(()=>{{const pressed=({WORST}).matches(':active'),t=({WORST}).closest('table').parentElement;
+    t.innerHTML=t.innerHTML;return pressed;}})()"""
+    pressed = False
+    while not pressed:  # what is written late moves the table from under the mouse
+        x, y = opened.resting_place_of(WORST)
+        opened.page.send("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **mouse)
+        pressed = opened.page.evaluate(anew)
+        opened.page.send("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **mouse)
     wait_for(lambda: opened.app.sessions and opened.session is not session)
     details = opened.session.wait_drawn(PATIENCE_S).details
     assert details is not None and details.verdict == "missed"
+    opened.page.wait_for(f"document.body.innerText.includes('car {details.object_id}')", PATIENCE_S)
 
 
 def test_a_click_on_a_picture_of_the_gallery_opens_its_error_with_its_cause(opened: Opened) -> None:

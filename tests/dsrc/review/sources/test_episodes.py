@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.types import Percept, Tick
+from dsrc.closed_loop.types import Outcome, Percept, Tick
 from dsrc.review.errors.filters import FP
 from dsrc.review.errors.report import place_of, run_report
 from dsrc.review.model import ReviewModel
@@ -240,3 +240,9 @@ def test_a_damaged_archive_is_no_episode(log: EpisodeLog, tmp_path: Path) -> Non
     path.write_bytes(bytes(content))
     with pytest.raises(DataError, match="drive"):
         open_sources(tmp_path)
+
+
+def test_a_folder_of_episodes_opens_on_a_crash(log: EpisodeLog, tmp_path: Path) -> None:
+    for name, outcome in (("a", Outcome.ARRIVED), ("b", Outcome.CRASHED), ("c", Outcome.STUCK)):
+        EpisodeLog(log.settings, log.actors[0], log.ticks, outcome).save(tmp_path / f"{name}.npz")
+    assert [source.timeline().outcome for source in open_sources(tmp_path)] == ["crashed", "arrived", "stuck"]

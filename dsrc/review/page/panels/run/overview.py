@@ -8,13 +8,14 @@ from dsrc.review.texts import html_table
 
 
 class OverviewPanel(Panel):
-    """Folder at the top of the page, open until an error is looked at."""
+    """Folder, open until an error is looked at; open for several episodes, each of which selects whom the ego meets."""
 
     title = "Overview"
 
     def is_open(self) -> bool:
-        """Whether nothing is selected."""
-        return not self._page.state.selects
+        """Whether nothing is selected, or there are several episodes."""
+        episodes = self._page.source.kind == "episode" and len(self._page.model.sources) > 1
+        return episodes or not self._page.state.selects
 
     def build(self) -> None:
         """Add the table, empty."""
