@@ -24,10 +24,11 @@ from dsrc.review.page.output.export import export_pictures, write_animation
 from dsrc.review.page.output.screenshot import PATIENCE_S, BrowserPage, open_page
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
+from dsrc.review.state import ReviewState
 from sim.files import signed_picture, write_file
 
 SIZE = (1500, 850)
-VIEW = "frame=10&camera=chase&off=labels"
+VIEW = "frame=10&camera=bev&off=labels"
 NEAR = "camera=chase&off=labels&view=-25,-6,15,6,2,0"
 """View of the animation: nearer than the camera that chases the ego by itself."""
 SHARED = "/?fixedDpr=1&frame=46&camera=bev&off=labels"
@@ -57,7 +58,7 @@ def picture_of_page(
         prepare: called with the first session and the page before the picture is taken.
         cells: sessions of the page.
     """
-    app = ReviewApp(model, start_server())
+    app = ReviewApp(model, start_server(), ReviewState(**model.opening(0)))
     try:
         with open_page(app.url + address, SIZE) as page:
             sessions = app.wait_session(cells, PATIENCE_S)
@@ -123,10 +124,9 @@ def main() -> None:
     given = parser.parse_args()
     model, out = open_model(given.drive, given.checkpoint), given.out
     rows = range(20, min(20 + given.frames, len(model.sources[0])))
-    foggy = "frame=10&off=labels&camera=chase&corruption=fog&severity=4"
+    foggy = f"{VIEW}&corruption=fog&severity=4"
     fog = "/?fixedDpr=1&frame=3&color=fate&corruption=fog&parameters=extinction:0.05"
     pole = "/?fixedDpr=1&frame=3&color=height&sensor=vlp-16&carrier=pole&placement=0,0,6,0,15"
-    riding = "/?fixedDpr=1&camera=chase&frame=42"
     pictures: dict[str, Callable[[Path], object]] = {
         "errors.png": lambda path: picture_of_page(model, "/?fixedDpr=1&frame=3", path, show_errors),
         "cells.png": lambda path: picture_of_page(model, compare_address(VIEW, foggy), path, cells=2),
@@ -135,7 +135,9 @@ def main() -> None:
         "drive.gif": lambda path: write_animation(smooth_pictures(model, rows), path, 0.1),
     }
     if given.episode is not None:
-        pictures["episode.png"] = lambda path: picture_of_page(open_model(given.episode), riding, path, show_sweeps)
+        pictures["episode.png"] = lambda path: picture_of_page(
+            open_model(given.episode), "/?fixedDpr=1", path, show_sweeps
+        )
     if given.shares is not None:
         pictures["shares.png"] = lambda path: picture_of_page(open_model(given.shares), SHARED, path)
     for name in given.only or pictures:
