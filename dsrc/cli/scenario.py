@@ -305,7 +305,8 @@ class Mine(msgspec.Struct, frozen=True, kw_only=True):
         reasons = ((*key, number) for key, number in sorted(refused.items()))
         sys.stderr.write(f"{Table.of(('refused', 'hidden by', 'why', 'candidates'), reasons, 3).text(width)}\n")
         names = [one.scenario.name for one in kept if one.scenario is not None]
-        made([Path(self.out) / name for name in names], f"{len(names)} encounters", "drive", self.out)
+        what = f"{len(names)} encounter{'' if len(names) == 1 else 's'}"
+        made([Path(self.out) / name for name in names], what, "drive", self.out)
 
 
 class Export(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sample import Sample, SampleDetector, first_agents, make_sample, users_in
+from dsrc.data.sample import Sample, SampleDetector, first_agents, make_sample
 from dsrc.faults.condition import faults_of
 from dsrc.faults.kinds import Bias
 from dsrc.messages.attacks import Attacks, Lie
 from dsrc.messages.cpm import Cpm, placed, told_at_once
 from dsrc.messages.defences import Defence
 from dsrc.messages.inbox import Inbox
-from dsrc.messages.message import Message, Objects, Told, as_detections, as_objects, told_of
+from dsrc.messages.message import Message, Objects, Told, as_detections, as_objects, counted_in, told_of
 from dsrc.messages.seen_space import View
 from dsrc.models.channel import Receiver
 from dsrc.ops.detections import Detections
@@ -194,6 +194,5 @@ class Listener:
         if self._says:
             seen = self._said(frame)[1][agent].objects.boxes
         else:
-            users = users_in(frame.truth, self._detector.settings.users)
-            seen = frame.truth[users & (frame.points_on[row] >= 1)]
+            seen = counted_in(frame, row, self._detector)
         return honest + _attacks(frame, self._condition, self._seed).more_bytes(agent, seen, frame.time_s)

@@ -12,7 +12,7 @@ from dsrc.messages.seen_space import View
 from dsrc.models.settings import fusion_of
 from dsrc.ops.detections import Detections
 from sensors.frame import Frame
-from sim.boxes import Boxes
+from sim.boxes import CLASSES, VEHICLES, Boxes
 from sim.geometry import invert
 from sim.rows import Rows
 
@@ -118,6 +118,13 @@ def near_any(boxes: Boxes, others: Boxes, least_m: float = SAME_M) -> NDArray[np
 def tells_boxes(detector: SampleDetector) -> bool:
     """Whether each agent detects alone and tells boxes."""
     return hasattr(detector, "detect_each") and fusion_of(detector.settings) == "late"
+
+
+def counted_in(frame: Frame, row: int, detector: SampleDetector) -> Boxes:
+    """Return the road users by which the message of an agent that tells boxes is sized: those that it has points on."""
+    classes = getattr(detector, "classes", VEHICLES)
+    known = np.isin(frame.truth.label, [CLASSES.index(name) for name in classes])
+    return frame.truth[known & (frame.points_on[row] >= 1)]
 
 
 def as_objects(found: Detections, world_from_sample: NDArray[np.float64]) -> Objects:

@@ -16,7 +16,7 @@ from dsrc.faults.condition import radio_faults
 from dsrc.faults.fault import Faults
 from dsrc.messages.defences import Defence
 from dsrc.messages.inbox import Inbox
-from dsrc.messages.message import Told, as_detections, tells_boxes, told_of
+from dsrc.messages.message import Told, as_detections, counted_in, tells_boxes, told_of
 from dsrc.messages.seen_space import SeenSpace, seen_of
 from dsrc.models.channel import Receiver
 from dsrc.models.device import one_thread
@@ -24,7 +24,7 @@ from dsrc.ops.detections import Detections
 from sensors.corruptions import Condition
 from sensors.frame import Frame
 from sensors.recording.encounter_check import BRAKING_MPS2
-from sim.boxes import CLASSES, VEHICLES, Boxes
+from sim.boxes import VEHICLES, Boxes
 from sim.errors import SettingsError, complaint
 from sim.geometry import invert
 from sim.radio import IDEAL, MAX_AGE, PRESETS, ChannelSpec, Link
@@ -153,9 +153,8 @@ class DetectorPerception:
         frame = self.senses.frame(before, now, claims)
         self._past.appendleft(frame)
         if any(fault.attack for fault in self.faults):
-            known = np.isin(frame.truth.label, [CLASSES.index(name) for name in self.classes])
             for row, agent in enumerate(frame.agents):
-                seen = frame.truth[known & (frame.points_on[row] >= 1)]
+                seen = counted_in(frame, row, self.detector)
                 self._more_bytes[frame.index, row] = self._inbox.more_bytes(agent.agent_id, seen, frame.time_s)
         return frame
 
