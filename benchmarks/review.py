@@ -181,7 +181,7 @@ def resident_mb() -> float:
 
 def step_figures(quick: bool) -> dict[str, float]:
     """Milliseconds of a step with its frame on the disk and read ahead, and the memory that many steps leave, MB."""
-    frames, steps = KEPT + 6, 100 if quick else 1000
+    frames, steps = KEPT + 6, 60 if quick else 1000
     with tempfile.TemporaryDirectory() as folder:
         model = make_model(Path(folder), frames)
         states = [ReviewState(frame=row, methods=METHODS, max_points=SHOWN_POINTS) for row in range(frames)]
@@ -213,7 +213,7 @@ def run_figures(quick: bool) -> dict[str, float]:
         made.errors(0.3, 0.5)
         return made
 
-    known, times = index(), 5 if quick else 21
+    known, times = index(), 3 if quick else 21
     near = ErrorFilter(distance_m=Span(0.0, 30.0), classes=("car",))
 
     def move(number: int, only: ErrorFilter | None = None) -> None:
@@ -239,7 +239,7 @@ def browser_figures(quick: bool) -> dict[str, float]:
     if find_chromium() is None:
         return {}
     with tempfile.TemporaryDirectory() as folder:
-        frames = 20 if quick else FRAMES
+        frames = 12 if quick else FRAMES
         drive = Path(folder) / "drive"
         for index in range(min(frames, KEPT - 1)):
             write_frame(drive, draw_frame(index, SHOWN_POINTS))
@@ -248,7 +248,7 @@ def browser_figures(quick: bool) -> dict[str, float]:
         with_detector = first_picture(drive, "detector_", "--checkpoint", str(CHECKPOINT))
         ours, bare = first_picture(drive), bare_picture()
         ratio = {"first_picture_over_bare": round(ours["first_picture_s"] / bare["bare_first_picture_s"], 2)}
-        return {**ours, **with_detector, **bare, **ratio, **streaming(drive, 5.0 if quick else 15.0)}
+        return {**ours, **with_detector, **bare, **ratio, **streaming(drive, 3.0 if quick else 15.0)}
 
 
 def copy_frame(drive: Path, index: int, to: int) -> None:

@@ -96,6 +96,7 @@ def test_missed_cycles_give_no_percept_and_the_tracks_go_on() -> None:
     assert all(len(tick.tracks) for tick in found.ticks[10:13])
 
 
+@pytest.mark.slow
 def test_brakes_that_fail_crash_and_a_fault_after_the_end_changes_nothing(tmp_path: Path) -> None:
     well = driven()
     assert well.outcome is Outcome.ARRIVED

@@ -112,6 +112,7 @@ def test_the_command_exits_with_1_below_the_bound(found: Stress, world: Path) ->
     assert dsrc(*words, "--fail-under", "0", "--junit", str(world / "stress.xml")).returncode == 0
 
 
+@pytest.mark.slow
 def test_a_fault_is_a_line_without_severities_and_with_the_numbers_of_its_corruption(world: Path) -> None:
     mixed = "point_dropping:5 on helpers + loss:1"
     config = config_of(

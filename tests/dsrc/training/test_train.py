@@ -338,6 +338,7 @@ def test_an_ap_that_stays_zero_stops_the_training(data: Path, tmp_path: Path) ->
         train(recipe, data, tmp_path, "plain")
 
 
+@pytest.mark.slow
 def test_an_interruption_does_not_put_the_alarm_off(data: Path, tmp_path: Path) -> None:
     from dsrc.training.module import TrainingAlarm
 

@@ -45,7 +45,8 @@ def test_nobody_touches_anybody_without_the_conflict(kind: str) -> None:
             assert len(overlapping_pairs(traffic.step().boxes)) == 0
 
 
-@pytest.mark.parametrize("kind", some(["ima_building", "eebl_chain", "lta_truck"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["ima_building", "eebl_chain", "lta_truck"])
 def test_nobody_rams_an_ego_that_stops_clear_of_the_conflict(kind: str) -> None:
     with ScriptedTraffic(encounter(kind, traffic="dense"), SEED) as traffic:
         while traffic.time_s < 12.0:

@@ -123,6 +123,7 @@ def test_tags_of_a_map_decide_before_its_place(tags: str, left: bool, tmp_path: 
     assert keeps_left(path) is left
 
 
+@pytest.mark.slow
 def test_vehicles_and_parked_cars_of_a_british_town_keep_left(tmp_path: Path) -> None:
     net = converted(tmp_path, crossing())
     scenario = scenario_of(tmp_path)

@@ -282,6 +282,7 @@ def test_a_narrow_terminal_shows_every_number(tmp_path: Path) -> None:
     assert "…" not in text and all(column in text for column in ("episodes", "crashed", "stuck", "lost", "100 %"))
 
 
+@pytest.mark.slow
 def test_crashes_that_the_careful_driver_avoids_are_avoidable(tmp_path: Path) -> None:
     result = run_campaign(replace(PLAN, careful=True, clean_seeds=1), tmp_path)
     assert [one.outcome for one in result.careful] == ["arrived"]

@@ -144,12 +144,14 @@ def test_an_oncoming_lane_that_it_sees_empty_serves() -> None:
     assert not out.hit and abs(out.y[-1]) < 0.01
 
 
+@pytest.mark.slow
 def test_people_beside_the_lane_are_not_steered_into() -> None:
     people = [Other(x, y, label="pedestrian", size=(0.5, 0.5, 1.7)) for x in (36.0, 40.0, 44.0) for y in (-2.0, -3.0)]
     out = drive(EvadingDriver(), TWO_LANES, [SUDDEN, *people], 25.0)
     assert min(out.y) > -0.7
 
 
+@pytest.mark.slow
 def test_forces_stay_within_the_grip_of_the_tyres() -> None:
     out = drive(EvadingDriver(), TWO_LANES, [SUDDEN], 25.0)
     sideways = np.array(out.speed) ** 2 * np.sin(np.arctan(0.5 * np.tan(out.wheels))) / (0.5 * CAR[0])

@@ -44,6 +44,7 @@ def test_a_picture_has_the_ego_in_its_middle_the_road_and_the_tracks(name: str) 
     env.close()
 
 
+@pytest.mark.slow
 def test_who_has_no_track_is_an_outline_and_a_crashed_ego_is_red() -> None:
     action = np.array([0.3], np.float32)
     env = gym.make("dsrc/Rail-v0", scenario="stalled_after_curve", perception=Blind(), render_mode="rgb_array")
@@ -58,6 +59,7 @@ def test_who_has_no_track_is_an_outline_and_a_crashed_ego_is_red() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_window_shows_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "offscreen")
     env = gym.make("dsrc/Meta-v0", scenario="ima_building", render_mode="human", disable_env_checker=True)

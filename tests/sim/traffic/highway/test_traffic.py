@@ -204,6 +204,7 @@ def test_lanes_are_lanes_of_the_roads(run: tuple[str, list[Actors]]) -> None:
     assert {lane for actors in run[1] for lane in actors.lane} <= names
 
 
+@pytest.mark.slow
 def test_who_leaves_is_replaced() -> None:
     with HighwayTraffic(soon("merge"), 5) as traffic:
         first = set(traffic.actors.boxes.object_id.tolist())
@@ -310,6 +311,7 @@ def test_where_overtakers_drive_is_a_lane() -> None:
         *(pytest.param(name, 3, marks=pytest.mark.slow) for name in PLACES),
     ],
 )
+@pytest.mark.slow
 def test_a_vehicle_that_is_placed_along_its_way_keeps_its_lanes_and_its_way(name: str, cars: int) -> None:
     with HighwayTraffic(soon(name), 3) as traffic:
         ways = [traffic.actors] + [traffic.step() for _ in range(STEPS)]

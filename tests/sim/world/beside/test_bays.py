@@ -145,6 +145,7 @@ def _tall_behind(part: MeshPart) -> NDArray[np.bool_]:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_something_tall_stands_right_behind_most_bays() -> None:
     now = np.concatenate([_tall_behind(planted(seed)) for seed in SEEDS])
     before = np.concatenate([_tall_behind(without_bays(seed)) for seed in SEEDS])

@@ -76,6 +76,7 @@ def test_what_nobody_sees_is_not_found(fitted: Errors) -> None:
         assert (np.linalg.norm(percept.boxes.center - hidden, axis=1) > 5.0).all()
 
 
+@pytest.mark.slow
 def test_misses_persist_and_a_fit_of_the_percepts_gives_the_model_back(fitted: Errors) -> None:
     ego, others = np.zeros(3), np.array([1, 2])  # both in clear view
     sequences = []
