@@ -7,11 +7,13 @@
 
 The sweep is in the frame of the upper LiDAR; points are compensated to the timestamp. The car's origin is the middle of
 its rear axle, about 0.33 m above the ground. Lasers are numbered as they fire, one LiDAR after the other; rings go from
-the top, by the elevations of the first sweep. Bicycles and motorcycles in use are labelled apart from their riders.
+the top, by the elevations of the first sweep; logs without that column have none. Bicycles and motorcycles in use are
+labelled apart from their riders.
 
 Needs the package `pyarrow`. Source: B. Wilson et al., NeurIPS 2021; the user guide of the API `av2` (sensor dataset).
 """
 
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Self
@@ -105,7 +107,8 @@ class Argoverse(Layout):
     def sweeps(self, i: int) -> list[Sweep]:
         """Return the sweep of both LiDARs in the frame of the upper one."""
         placed, intensity, laser = self._read_scan(self._scans[i])
-        return [make_sweep(placed, self.poses(i)[0], self.time_s(i), intensity=intensity, ring=self._rings()[laser])]
+        ring = np.zeros(len(placed), np.int16) if laser is None else self._rings()[laser]
+        return [make_sweep(placed, self.poses(i)[0], self.time_s(i), intensity=intensity, ring=ring)]
 
     def labelled(self, i: int) -> bool:
         """Return whether the log has annotations."""
@@ -131,20 +134,28 @@ class Argoverse(Layout):
     def _file(self) -> Path:
         return self.path / f"{_BOXES}.feather"
 
-    def _read_scan(self, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int64]]:
-        """Return (P, 3) points in the frame of the upper LiDAR, their intensities and lasers."""
-        table = _columns(path, ("x", "y", "z", "intensity", "laser_number"))
+    def _read_scan(self, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int64] | None]:
+        """Return (P, 3) points in the frame of the upper LiDAR, their intensities and lasers (None: no column)."""
+        table = _columns(path, ("x", "y", "z", "intensity"), ("laser_number",))
         points = finite(path, np.column_stack([table[name].astype(np.float32) for name in "xyz"]))
         placed = np.asarray(transform_points(invert(self._body_from_lidar), points.astype(np.float64)))
-        laser = table["laser_number"]
+        intensity = np.asarray(unit_intensity(path, table["intensity"].astype(np.float32), 255.0))
+        laser = table.get("laser_number")
+        if laser is None:
+            return placed, intensity, None
         if not ((laser >= 0) & (laser < _LASERS) & (laser == np.floor(laser))).all():
             raise DataError(complaint(path, "laser_number", f"whole numbers from 0 to {_LASERS - 1}", "others"))
-        intensity = np.asarray(unit_intensity(path, table["intensity"].astype(np.float32), 255.0))
         return placed, intensity, laser.astype(np.int64)
 
     def _read_rings(self) -> NDArray[np.int16]:
-        """Return the (64,) ring of each laser; those without a point in the first sweep are the last."""
-        points, _, laser = self._read_scan(self._scans[0])
+        """Return the (64,) ring of each laser; those without a point in the first sweep that is whole are the last."""
+        for path in self._scans:
+            with suppress(DataError):
+                points, _, laser = self._read_scan(path)
+                if laser is not None:
+                    break
+        else:
+            raise DataError(complaint(self.path / _LIDARS, "laser_number", "a sweep that has it", "none"))
         elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
         count = np.bincount(laser, minlength=_LASERS)
         mean = np.bincount(laser, elevation, _LASERS) / np.maximum(count, 1)
@@ -178,8 +189,8 @@ def _pose_rows(path: Path, table: dict[str, NDArray[Any]]) -> NDArray[np.float64
     return poses_of(path, values[:, :4], values[:, 4:])
 
 
-def _columns(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """Return columns of a feather file; DataError where it is damaged or lacks one."""
+def _columns(path: Path, names: tuple[str, ...], more: tuple[str, ...] = ()) -> dict[str, NDArray[Any]]:
+    """Return columns of a feather file, and of more those that it has; DataError where it is damaged or lacks one."""
     try:
         from pyarrow import BufferReader, feather
     except ImportError:
@@ -193,7 +204,7 @@ def _columns(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
         missing = [name for name in names if name not in table.column_names]
         if missing:
             raise DataError(complaint(path, "columns", missing[0], ", ".join(table.column_names[:12])))
-        found = {name: table.column(name).to_numpy() for name in names}
+        found = {name: table.column(name).to_numpy() for name in [*names, *set(more).intersection(table.column_names)]}
         for name, column in found.items():
             if name not in _TEXTS and column.dtype.kind not in "fiu":
                 raise DataError(complaint(path, name, "numbers", str(column.dtype)))

@@ -66,6 +66,23 @@ def test_a_laser_that_no_log_of_argoverse_has_is_refused(tmp_path: Path) -> None
         open_drive(drive.drive).read(1)
 
 
+def test_a_log_of_argoverse_without_lasers_has_no_rings_and_a_damaged_first_sweep_is_not_missed(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    from pyarrow import feather
+
+    drive = opened(trees.argoverse, tmp_path).drive
+    first, second, *_ = sorted(drive.glob("sensors/lidar/*.feather"))
+    rings = open_drive(drive).read(1).agents[0].sweep.ring
+    whole = first.read_bytes()
+    first.write_bytes(b"damaged")
+    assert np.array_equal(open_drive(drive).read(1).agents[0].sweep.ring, rings)
+    first.write_bytes(whole)
+    feather.write_feather(feather.read_table(second, memory_map=False).drop_columns(["laser_number"]), second)
+    bare = open_drive(drive).read(1).agents[0].sweep
+    assert len(bare) == len(rings) and not np.array_equal(bare.ring, rings)
+    assert np.array_equal(bare.intensity, instant(1).points[:, 3])
+
+
 def test_nuscenes(tmp_path: Path) -> None:
     drive = opened(trees.nuscenes, tmp_path)
     assert drive.drive.name == "scene-0061"
