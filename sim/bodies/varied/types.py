@@ -87,7 +87,7 @@ _ROWS = (
         ("truck_tanker", "tanker", (9.40, 2.55, 3.20), (0.45, 0.03, 0.10), 0.05, 25.0),
     )),
     ("truck", "truck", _HEAVY, "fleet", (("plain", 0.7), ("blue", 0.3)), (
-        ("truck_semi_trailer", "semi_trailer", (16.30, 2.57, 3.96), (0.20, 0.02, 0.05), 0.30, 25.0),
+        ("truck_semi_trailer", "semi_trailer", (16.30, 2.57, 3.96), (0.09, 0.02, 0.05), 0.30, 25.0),
     )),
     ("bus", "bus", _HEAVY, "livery", (("clear", 0.7), ("coated", 0.3)), (
         ("bus_midi", "midi_bus", (9.60, 2.58, 3.10), (0.50, 0.05, 0.08), 0.20, 24.0),

@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.ops import substring
 
-from sim.bodies.varied.types import VARIED
 from sim.geometry import Array, wrap_angle
 from sim.mesh.solids import rings_of
 from sim.traffic.sumo.motion import BodyMotion
 from sim.world.roads.streets import Lane, Streets, heading
 
-_LONGEST_M = max(kind.largest[0] for kind in VARIED.values())
-_LONG_M, _WIDE_M = np.array([6.0, 12.0, _LONGEST_M]), 2.6
-"""Lengths of vehicles, m, the longest that of a semi-trailer, and width of the widest without its mirrors, m. Mirrors
-reach 0.13 m beyond it, over ground from which all that stands keeps 0.25 m (`sim.world.beside.ground`)."""
-_BEHIND_M, _AHEAD_M, _STEP_M, _MEET_M = _LONGEST_M, 35.0, 1.0, 0.3
+_LONG_M, _WIDE_M = np.array([6.0, 12.0, 16.5]), 2.6
+"""Lengths of vehicles, m, the longest that of articulated ones (directive 96/53/EC), and width of the widest
+without its mirrors, m."""
+_BEHIND_M, _AHEAD_M, _STEP_M, _MEET_M = 16.5, 35.0, 1.0, 0.3
 """Lengths of their ways before and behind a lane in a junction, distance of their places along these, and distance
 within which lanes go on, m."""
 _BACK_RAD, _ASIDE_M = np.radians(150.0), 0.2

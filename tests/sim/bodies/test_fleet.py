@@ -8,6 +8,7 @@ from sim.bodies.fleet import Fleet
 from sim.bodies.varied.types import VARIED
 from sim.bodies.vehicle_types import TYPES
 from sim.boxes import CLASSES
+from sim.world.roads.swept import _LONG_M
 
 OLD, NEW = Fleet(False, 5), Fleet(True, 5)
 
@@ -52,6 +53,12 @@ def test_a_long_lorry_has_a_trailer() -> None:
 
     long = replace(TYPES["truck_heavy"], size=(16.4, 2.55, 3.9))
     assert all(NEW.model(long, f"t{number}").startswith("semi_trailer/") for number in range(5))
+
+
+def test_no_vehicle_is_longer_than_the_ground_that_junctions_keep_free() -> None:
+    """16.5 m, the longest that directive 96/53/EC allows a tractor with its semi-trailer."""
+    longest = max(kind.largest[0] for kind in VARIED.values())
+    assert 16.4 < longest <= _LONG_M.max() == 16.5
 
 
 def test_types_share_the_weight_of_their_class() -> None:
