@@ -235,6 +235,7 @@ def test_a_toml_names_the_command_that_takes_it(tmp_path: Path, content: str, ri
             assert_one_line(result, f"{begin}: {path} is a ", f"run: {command}")
 
 
+@pytest.mark.slow
 def test_a_corrupted_drive_is_generated_as_by_two_commands_and_leaves_no_second_tree(tmp_path: Path) -> None:
     four_way = ("generate", "four_way", "--frames", "1", "--no-visibility", "--vehicles", "2", "--lidar", "debug-16")
     fog = ("--corruption", "fog", "--severity", "4")

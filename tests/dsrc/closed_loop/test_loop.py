@@ -287,6 +287,7 @@ def test_an_acceleration_that_is_not_finite_is_refused() -> None:
     loop.close()
 
 
+@pytest.mark.slow
 def test_the_driver_gets_the_lanes_of_its_roads() -> None:
     class Told(BrakeAt):
         """Keeps what it is told at its reset."""

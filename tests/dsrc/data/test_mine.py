@@ -88,6 +88,7 @@ def test_who_sees_everybody_arrives_and_no_control_crashes(mined: tuple[Path, li
         assert outcome == "arrived", name
 
 
+@pytest.mark.slow
 def test_who_crosses_a_slow_street_behind_parked_vans_is_hidden_until_braking_is_too_late() -> None:
     base = place(**{"default.lanenumber": 1, "default.speed": 8.3})
     places = find_conflicts(base, read_network(resolve_network(base, 0)), 0)

@@ -134,6 +134,7 @@ def test_the_files_of_a_drive_give_the_frames_of_the_simulation_itself(drive: Pa
     assert same_frames(recording.frame(1), DriveReader(drive).read(1))
 
 
+@pytest.mark.slow
 def test_a_drive_is_made_again_from_its_log_and_its_world_alone(drive: Path, tmp_path: Path) -> None:
     """In a process that can import neither SUMO nor its maps."""
     code = (

@@ -140,6 +140,7 @@ def test_clean_only_and_cooperative_only(world: Path) -> None:
     assert not (world / "clean" / "mce_map.png").exists()
 
 
+@pytest.mark.slow
 def test_a_fault_is_a_row_and_one_that_says_a_corruption_or_a_channel_has_its_numbers(world: Path) -> None:
     mixed = "beam_missing:3 on helpers + blocked:120 on ego"
     config = config_of(world, "faults", corruption=("fog",), fault=("fog:3", mixed, "delay:0.1"), ego_alone=False)

@@ -39,6 +39,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
     return config.out, evaluate_drives(config)
 
 
+@pytest.mark.slow
 def test_stored_detections_score_what_the_evaluation_says(done: tuple[Path, list]) -> None:
     out, rows = done
     index = read_index(out)

@@ -171,6 +171,7 @@ def test_a_ghost_stops_an_ego_without_defence_needlessly(undisturbed: EpisodeLog
     assert found.needless_stops == 1.0 and found.false_told > 20 and found.false_refused == 0.0
 
 
+@pytest.mark.slow
 def test_free_space_lets_it_drive_through_the_ghost() -> None:
     log = driven("ima_building", "ghost", "free-space")
     found = lie_metrics(log)

@@ -40,6 +40,7 @@ def _poses(streets: Streets, count: int) -> list[NDArray[np.float64]]:
     return found[:: max(1, len(found) // count)][:count]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["four_way"])
 def test_shares_of_what_stands_and_is_scattered_are_real(place: str) -> None:
     scenario = msgspec.structs.replace(at_hand(place), world=2)

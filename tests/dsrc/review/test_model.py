@@ -191,7 +191,7 @@ def test_object_details_as_text(truth_model: ReviewModel) -> None:
     assert cells(text)[1] == ["ego", "40", "25 %"]
     unknown = selection_report(truth_model.view(ReviewState(object_id=1005)).details)
     assert "seen by the ego</p>" in unknown and ">4.4 × 1.9 × 1.6 m · 60.0 m away · 0.0 m/s</p>" in unknown
-    assert cells(unknown)[-1] == ["roadside unit 1", "40", "–"]
+    assert cells(unknown)[-1] == ["roadside unit 1", "40", ""]
 
 
 def test_a_detection_is_said_to_overlap_a_road_user_by_its_name(model: ReviewModel) -> None:

@@ -330,6 +330,7 @@ def test_a_nan_stops_the_training_with_one_line(data: Path, tmp_path: Path) -> N
         train(tiny(), data, tmp_path, "plain", callbacks=[Poison()])
 
 
+@pytest.mark.slow
 def test_an_ap_that_stays_zero_stops_the_training(data: Path, tmp_path: Path) -> None:
     from dsrc.training.module import TrainingAlarm
 
@@ -370,6 +371,7 @@ def test_methods_differ_in_their_fusion_and_designs_alone() -> None:
     assert {METHODS[name]["fusion"] for name in METHODS} == set(FUSIONS)
 
 
+@pytest.mark.slow
 def test_a_rival_is_trained_without_a_teacher(data: Path, tmp_path: Path) -> None:
     sizes = ("shrink_channels=16", "stage_channels=[8,8,8]", "alarm_after=9")
     path = train_stages("debug", data=data, out=tmp_path, epochs=1, method="v2x-vit", set=sizes)

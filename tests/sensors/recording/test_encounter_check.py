@@ -25,6 +25,9 @@ from sim.world.build import build_world
 from tests.sim.encounters.test_encounters import encounter
 
 SEED = 1
+QUICK = ("ima_building", "lta_truck", "dnpw_overtake", "eebl_chain", "cut_in_merge", "ped_dartout")
+KINDS = [kind if kind in QUICK else pytest.param(kind, marks=pytest.mark.slow) for kind in ENCOUNTERS]
+"""Encounters, half of them in the slow tests."""
 
 
 def control_of(kind: str, control: str, seed: int) -> Proof | None:
@@ -32,7 +35,7 @@ def control_of(kind: str, control: str, seed: int) -> Proof | None:
 
 
 @pytest.mark.parametrize("seed", [SEED, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
-@pytest.mark.parametrize("kind", ENCOUNTERS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_proof_holds(kind: str, seed: int) -> None:
     found = find_encounter(encounter(kind), seed)
     proof = found.proof
@@ -50,9 +53,12 @@ def test_the_proof_holds(kind: str, seed: int) -> None:
     "kind",
     [
         "ped_dartout",
-        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("ima_building", "lta_truck", "eebl_chain")),
+        "ima_building",
+        "lta_truck",
+        "eebl_chain",
     ],
 )
+@pytest.mark.slow
 def test_the_proof_holds_on_uneven_ground(kind: str, seed: int) -> None:
     found = find_encounter(msgspec.structs.replace(encounter(kind), world=2), seed)
     assert found.scenario.uneven and found.proof.holds and found.proof.hit == "conflict"
@@ -60,7 +66,7 @@ def test_the_proof_holds_on_uneven_ground(kind: str, seed: int) -> None:
     assert found.proof.helper_ttc_s >= found.proof.critical_ttc_s + AHEAD_S
 
 
-@pytest.mark.parametrize("kind", ENCOUNTERS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_without_the_occluder_the_ego_sees_it_early(kind: str) -> None:
     control = control_of(kind, "no_occluder", SEED)
     assert not control.holds and control.reason == "seen early"
@@ -68,7 +74,7 @@ def test_without_the_occluder_the_ego_sees_it_early(kind: str) -> None:
     assert control.hit == "conflict"
 
 
-@pytest.mark.parametrize("kind", ENCOUNTERS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_without_the_conflict_actor_there_is_no_collision(kind: str) -> None:
     control = control_of(kind, "no_conflict", SEED)
     assert not control.holds and control.reason == "no collision" and control.hit_s is None
@@ -134,7 +140,9 @@ def test_encounters_at_a_real_junction_hold_and_their_controls_fail(name: str) -
     assert find_encounter(load_scenario(f"{name}:no_conflict"), SEED).control.reason == "no collision"
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("cut_in_merge", 7), ("ima_building", 1)])
+@pytest.mark.parametrize(
+    ("kind", "seed"), [pytest.param("cut_in_merge", 7, marks=pytest.mark.slow), ("ima_building", 1)]
+)
 def test_no_frame_of_the_drive_shows_the_ego_what_the_proof_says_is_hidden(kind: str, seed: int) -> None:
     """Frames from the very first, with the noise and the losses of the drive."""
     found = find_encounter(encounter(kind), seed)

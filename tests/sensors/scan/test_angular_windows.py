@@ -12,7 +12,14 @@ def columns_in(azimuth: np.ndarray, start: float, width: float, spread: float = 
     return {c for first, after in runs_of(azimuth, start, width, spread) for c in range(first, after)}
 
 
-@pytest.mark.parametrize("azimuth", [ALL_AROUND, ALL_AROUND[::-1], ALL_AROUND[900:2700], ALL_AROUND + 2.0])
+@pytest.mark.parametrize(
+    "azimuth",
+    [
+        ALL_AROUND,
+        ALL_AROUND[900:2700],
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (ALL_AROUND[::-1], ALL_AROUND + 2.0)),
+    ],
+)
 def test_windows_hold_every_point_of_random_boxes(azimuth: np.ndarray) -> None:
     rng = np.random.default_rng(0)
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2

@@ -143,6 +143,7 @@ def test_paint_lies_above_the_road(worlds: Worlds, name: str) -> None:
     assert len(paint) > 50 and paint.min() >= roads.max() + 0.005
 
 
+@pytest.mark.slow
 def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds: Worlds) -> None:
     mesh, streets = worlds("braunschweig")
     material = mesh.face_attributes["material"]
@@ -160,6 +161,7 @@ def test_no_building_of_braunschweig_covers_a_lane_near_the_signals(worlds: Worl
     assert not shapely.contains_xy(covered, *points.T).any()
 
 
+@pytest.mark.slow
 def test_the_real_houses_of_braunschweig_are_seen_from_the_junction(worlds: Worlds) -> None:
     mesh, _ = worlds("braunschweig")
     angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)

@@ -76,6 +76,7 @@ def test_a_campaign_that_was_driven_drives_nothing_again(driven: Path) -> None:
     assert read_results([driven / "results.csv"]) == {one.key: one for one in again.results}, "to the last digit"
 
 
+@pytest.mark.slow
 def test_a_lost_episode_comes_back_with_the_same_bytes(driven: Path) -> None:
     key = rows(driven)[0]["key"]
     files = [driven / "episodes" / f"{key}{suffix}" for suffix in (".json", ".npz")]
@@ -201,6 +202,7 @@ def test_a_perception_that_fails_is_a_row(tmp_path: Path) -> None:
     assert (row.outcome, row.message) == ("perception failed", "MemoryError: no memory left")
 
 
+@pytest.mark.slow
 def test_a_driver_of_one_s_own_that_fails_is_a_row_and_the_campaign_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -128,8 +128,14 @@ def test_where_braking_suffices_it_drives_as_the_planner_does(other: Other) -> N
     [
         (Street((0.0,)), [], np.inf),  # verges on both sides
         (Street((0.0,), (-LANE_M,)), [], 46.0),  # an oncoming lane that is hidden beyond whom it would pass
-        (Street((0.0,), (-LANE_M,)), [Other(100.0, -LANE_M, -20.0, 0.0)], np.inf),  # one on which somebody comes
-        (TWO_LANES, [Other(0.0, -LANE_M, 25.0, 0.0, label="bus", size=(40.0, 2.5, 3.0))], np.inf),
+        # one on which somebody comes
+        pytest.param(Street((0.0,), (-LANE_M,)), [Other(100.0, -LANE_M, -20.0, 0.0)], np.inf, marks=pytest.mark.slow),
+        pytest.param(
+            TWO_LANES,
+            [Other(0.0, -LANE_M, 25.0, 0.0, label="bus", size=(40.0, 2.5, 3.0))],
+            np.inf,
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["verge", "oncoming lane not seen", "oncoming lane with somebody", "lane with a bus"],
 )

@@ -79,6 +79,7 @@ def test_nothing_stands_in_a_parked_car() -> None:
     assert shapely.intersects(bodies, _flat(_standing(world_of("rilsa_1"), streets, 1.5, 6.0))).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLACES)
 def test_footways_stay_passable(name: str) -> None:
     streets = streets_of(name)

@@ -95,6 +95,7 @@ def test_corners_that_a_lorry_sweeps_are_even_and_their_kerb_is_dropped() -> Non
     np.testing.assert_allclose(np.median(rise), DROPPED_M, atol=0.02)
 
 
+@pytest.mark.slow
 def test_traffic_on_the_left_sweeps_the_mirrored_ground() -> None:
     streets = streets_of(uneven("four_way"), 1)
     lanes = tuple(replace(lane, line=lane.line * [1.0, -1.0]) for lane in streets.lanes)
@@ -111,6 +112,7 @@ def test_without_a_junction_nothing_is_swept() -> None:
     assert with_swept(alone, swept_axes(alone)).swept.is_empty
 
 
+@pytest.mark.slow
 def test_wide_junctions_have_islands_that_no_lane_leads_over_and_no_vehicle_stands_on(
     world: trimesh.Trimesh,
 ) -> None:
