@@ -338,7 +338,7 @@ def first_drawn(port: int, command: list[str]) -> dict[str, float]:
                     "server_s": round(answered, 2),
                 }
             finally:
-                server.terminate()
+                server.kill()  # what it does until it ends is not measured
 
 
 def _answers(port: int) -> bool:
