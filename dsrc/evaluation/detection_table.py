@@ -105,7 +105,7 @@ _PER_DETECTION = ("boxes", "score")
 # Kind in the file and width of a row.
 _COLUMNS: dict[str, tuple[str, int | None]] = {
     "position": ("<i4", None),
-    "index": ("<i4", None),
+    "index": ("<i8", None),
     "ego_id": ("<i8", None),
     "found": ("<i4", None),
     "boxes": ("<f4", 7),
@@ -189,7 +189,7 @@ def read_table(path: Path, arrays: Mapping[str, NDArray], hint: str = "") -> Det
     columns: dict[str, Any] = {}
     for name, (kind, width) in _COLUMNS.items():
         column = arrays.get(name)
-        if column is None or column.dtype != np.dtype(kind):
+        if column is None or not np.can_cast(column.dtype, kind):
             raise wrong(name, f"an array of {np.dtype(kind)}", "none" if column is None else str(column.dtype))
         if len(column.shape) != (1 if width is None else 2) or (width is not None and column.shape[1] != width):
             raise wrong(name, "shape (n,)" if width is None else f"shape (n, {width})", str(column.shape))

@@ -21,7 +21,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.sweeps.layout import IGNORED, BoxRows, Labels, Layout, finite, poses_of, unit_intensity
+from dsrc.data.sweeps.layout import IGNORED, BoxRows, Labels, Layout, eight_bit_intensity, finite, poses_of
 from sensors.frame import Region
 from sensors.sweep import Sweep, make_sweep
 from sim.errors import DataError, SettingsError, complaint
@@ -139,7 +139,7 @@ class Argoverse(Layout):
         table = _columns(path, ("x", "y", "z", "intensity"), ("laser_number",))
         points = finite(path, np.column_stack([table[name].astype(np.float32) for name in "xyz"]))
         placed = np.asarray(transform_points(invert(self._body_from_lidar), points.astype(np.float64)))
-        intensity = np.asarray(unit_intensity(path, table["intensity"].astype(np.float32), 255.0))
+        intensity = np.asarray(eight_bit_intensity(path, table["intensity"].astype(np.float32)))
         laser = table.get("laser_number")
         if laser is None:
             return placed, intensity, None

@@ -33,6 +33,7 @@ from dsrc.data.sweeps.layout import (
 from sensors.frame import Region
 from sensors.sweep import Sweep, make_sweep
 from sim.boxes import CLASSES, Boxes, concatenate
+from sim.errors import notice, one_line
 from sim.reading import read_text
 
 HEIGHT_M = 1.73
@@ -49,6 +50,7 @@ USERS = {
 """Our classes by KITTI's in lower case; it has neither buses nor motorcycles, but others' files in its format do."""
 SPARED = {"tram": "truck", "misc": "car", "person_sitting": "pedestrian"}
 """Objects that are neither found nor missed."""
+_TYPES = {*USERS, *SPARED, "dontcare"}
 _SPLITS = ("training", "testing")
 _OWN = "conversion.json"
 _BUS_M = 4.0
@@ -71,6 +73,9 @@ def kitti_truth(
         own: of a tree of ours, where `Misc` are buses and motorcycles.
     """
     camera = calibration.camera_from_lidar
+    types = {line.split(maxsplit=1)[0] for _, line in lines if line.strip()}
+    for name in sorted(name for name in types if name.lower() not in _TYPES):
+        notice(f"{path.parent}: objects of type {one_line(name, 40)}, which KITTI does not have, are left out")
     found = []
     for users in (USERS, SPARED):
         boxes = parse_labels(path, lines, camera, users=users).boxes
@@ -82,6 +87,14 @@ def kitti_truth(
     rest = spared[spared.label == CLASSES.index("car")]
     label = np.where(rest.size[:, 0] > _BUS_M, CLASSES.index("bus"), CLASSES.index("motorcycle"))
     return concatenate([boxes, replace(rest, label=label)]), Boxes.zeros()
+
+
+def calibration_beside(path: Path) -> KittiCalibration:
+    """Return the calibration of a label file; without one that of the nominal camera, with a notice."""
+    beside = path.parent.parent / "calib" / path.name
+    if not beside.is_file():
+        notice(f"{beside.parent}: a calibration is missing: labels are read by a nominal camera")
+    return read_calibration(beside)
 
 
 def picture_region(
@@ -162,7 +175,7 @@ class KittiObject(Layout):
         if not self.labelled(i):
             return None
         path, picture = self._file("label_2", i, "txt"), self._file("image_2", i, "png")
-        calibration = self._calibration(i)
+        calibration = calibration_beside(path)
         found = labels_of_scan(path, calibration, picture, self._pose(calibration), bool(self._own))
         return replace(found, region=None) if self._around else found
 

@@ -13,6 +13,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.clouds.intensity import EIGHT_BIT, Intensities
 from sensors.frame import AgentKind, Region
 from sensors.sweep import Sweep
 from sim.boxes import CLASSES, Boxes, upright_of
@@ -160,6 +161,12 @@ def unit_intensity(path: Path, values: NDArray, full_scale: float) -> NDArray[np
     if not (lowest >= 0.0 and highest <= full_scale * _OVER):
         raise DataError(complaint(path, "intensity", f"0 to {full_scale:g}", f"{lowest:g} to {highest:g}"))
     return np.minimum(values / np.float64(full_scale), 1.0).astype(np.float32)
+
+
+def eight_bit_intensity(path: Path, values: NDArray) -> NDArray[np.float32]:
+    """Return (P,) intensities of 0 to 255 as those of 0 to 1; fractions, which others write, stay as they are."""
+    fractions = Intensities.of(values, path.name).fractions is not None
+    return unit_intensity(path, values, 1.0 if fractions else EIGHT_BIT)
 
 
 _OVER = 1.01

@@ -20,17 +20,16 @@ from numpy.typing import NDArray
 
 from dsrc.data.clouds.cloud import columns_of
 from dsrc.data.clouds.files import NUSCENES_SENSOR
-from dsrc.data.clouds.intensity import EIGHT_BIT
 from dsrc.data.jsonio import read_json
 from dsrc.data.sweeps.layout import (
     IGNORED,
     BoxRows,
     Labels,
     Layout,
+    eight_bit_intensity,
     finite,
     poses_of,
     read_floats,
-    unit_intensity,
 )
 from sensors.frame import Region
 from sensors.presets import LIDARS, get_lidar
@@ -213,7 +212,7 @@ class NuScenes(Layout):
         if spec is None:
             rings = int(below.max(initial=0)) + 1
         ring = rings - 1 - below.astype(np.int64)
-        columns: dict[str, Any] = {"intensity": unit_intensity(path, rows[:, 3], EIGHT_BIT), "ring": ring}
+        columns: dict[str, Any] = {"intensity": eight_bit_intensity(path, rows[:, 3]), "ring": ring}
         if spec is not None and not spec.prisms:
             columns["column"] = column = columns_of(points, ring, spec)
             columns["time_offset"] = spec.time_offset[ring, column]

@@ -28,9 +28,8 @@ from numpy.typing import NDArray
 from dsrc.data.clouds.columns import parse_columns
 from dsrc.data.clouds.files import ending_of, is_scan, read_scan, scale_of
 from dsrc.data.clouds.intensity import Scale, parse_scale
-from dsrc.data.formats.kitti_labels import read_calibration
 from dsrc.data.jsonio import read_json
-from dsrc.data.sweeps.kitti import labels_of_scan
+from dsrc.data.sweeps.kitti import calibration_beside, labels_of_scan
 from dsrc.data.sweeps.layout import BoxRows, Labels, Layout
 from sensors.presets import get_lidar
 from sensors.sweep import STATIC, Sweep
@@ -129,6 +128,9 @@ class Scans(Layout):
             sweep = scan.cloud.sweep(None if sensor is None else get_lidar(sensor))
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
+        if not (sweep.intensity >= 0.0).all():
+            bad = np.count_nonzero(~(sweep.intensity >= 0.0))
+            raise DataError(complaint(path, "intensity", "numbers from 0 on", f"{bad} of {len(sweep)} that are not"))
         ids = np.full(len(sweep), STATIC, np.int32)
         intensity = np.minimum(sweep.intensity, np.float32(1.0))
         return replace(sweep, object_id=ids, time_s=time_s, world_from_lidar=world_from_lidar, intensity=intensity)
@@ -169,7 +171,7 @@ class Scans(Layout):
 
     def _kitti(self, i: int) -> Labels:
         path = self._text(i)
-        calibration = read_calibration(path.parent.parent / "calib" / path.name)
+        calibration = calibration_beside(path)
         picture = path.parent.parent / "image_2" / f"{path.stem}.png"
         return labels_of_scan(path, calibration, picture, self.poses(i)[0])
 

@@ -127,6 +127,13 @@ def test_columns_come_back_as_they_were() -> None:
     assert len(join_tables([])) == 0 and join_tables([]).results() == []
 
 
+def test_numbers_of_frames_may_be_microseconds_and_those_of_32_bits_are_read() -> None:
+    arrays = _table().arrays()
+    stamps = {**arrays, "index": np.array([1_532_402_927_647_951])}
+    assert read_table(Path("a.npz"), stamps).arrays()["index"] == stamps["index"]
+    assert read_table(Path("a.npz"), {**arrays, "index": np.array([50], np.int32)}).index == [50]
+
+
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [

@@ -11,7 +11,7 @@ from dsrc.data.sample import SampleRequest, make_sample
 from dsrc.data.write import write_drive
 from dsrc.ops.grid import GridSpec
 from sim.boxes import Boxes
-from sim.errors import DataError
+from sim.errors import DataError, notice
 from tests.dsrc.data.sweeps.scene import FRAMES, HEIGHT_M, instant
 from tests.dsrc.data.sweeps.trees import kitti_object
 from tests.dsrc.data.toy import SETTINGS, ToySource
@@ -51,6 +51,23 @@ def test_misc_is_neither_found_nor_missed(tmp_path: Path) -> None:
     assert len(frame.truth) == 2
     assert frame.region is not None
     assert frame.region.counts(frame.truth).tolist() == [False, True]
+
+
+def test_types_that_kitti_lacks_and_a_missing_calibration_are_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    notice.cache_clear()
+    car = (kitti_object(tmp_path / "a") / "training/label_2/000000.txt").read_text().splitlines()[0]
+    tree = kitti_object(tmp_path / "b", car.replace("Car", "Rickshaw") + "\n")
+    drive = open_drives(tree)[0]
+    known, told = drive.read(0).truth, [f"{tree}/training/label_2: objects of type Rickshaw, which KITTI does not have"]
+    (tree / "training/calib/000000.txt").unlink()
+    told += [f"{tree}/training/calib: a calibration is missing"]
+    truths = [open_drives(tree)[0].read(i).truth for i in (0, 0, 1)]
+    assert [text.partition(", are")[0].partition(": labels")[0] for text in caplog.messages] == told
+    assert [len(truth) for truth in (known, *truths)] == [2] * 4
+    # The nominal camera is KITTI's to within 0.1 m, and 0.5 degrees.
+    assert 0.01 < np.abs(truths[0].center - known.center).max() < 0.3
 
 
 def test_a_sample_holds_the_judged_vehicles_of_a_frame(tmp_path: Path) -> None:

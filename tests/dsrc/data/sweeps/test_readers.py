@@ -260,6 +260,42 @@ def test_a_folder_of_scans(tmp_path: Path) -> None:
         assert frame.time_s == pytest.approx(i * INTERVAL_S)
 
 
+@pytest.mark.parametrize("odd", [np.nan, -0.5])
+def test_a_scan_with_an_intensity_that_is_none_is_one_line_with_its_file(tmp_path: Path, odd: float) -> None:
+    trees.scans(tmp_path)
+    file = tmp_path / "scans" / "0001.npy"
+    points = np.load(file)
+    points[4, 3] = odd
+    np.save(file, points)
+    (drive,) = open_drives(tmp_path)
+    with pytest.raises(
+        DataError, match=r"0001\.npy: intensity: expected numbers from 0 on, found 1 of \d+ that are not"
+    ):
+        drive.read(1)
+
+
+@pytest.mark.parametrize("make", [trees.argoverse, trees.nuscenes])
+def test_intensities_that_are_fractions_where_a_data_set_has_bytes_are_kept(
+    tmp_path: Path, make: Callable[[Path], Path]
+) -> None:
+    if make is trees.argoverse:
+        pytest.importorskip("pyarrow")
+    drive = opened(make, tmp_path).drive
+    for file in tmp_path.glob("samples/LIDAR_TOP/*"):
+        rows = np.fromfile(file, "<f4").reshape(-1, 5)
+        rows[:, 3] /= 255
+        rows.tofile(file)
+    for file in drive.glob("sensors/lidar/*"):
+        import pyarrow
+        from pyarrow import feather
+
+        table = feather.read_table(file, memory_map=False)
+        values = pyarrow.array(table["intensity"].to_numpy().astype(np.float32) / 255)
+        table = table.set_column(table.column_names.index("intensity"), "intensity", values)
+        feather.write_feather(table, file)
+    assert np.allclose(open_drive(drive).read(0).agents[0].sweep.intensity, instant(0).points[:, 3], atol=1e-6)
+
+
 def test_scans_without_boxes_and_a_single_scan_are_drives_without_truth(tmp_path: Path) -> None:
     trees.scans(tmp_path, labelled=False)
     for path in (tmp_path, tmp_path / "scans" / "0001.npy"):
