@@ -3,8 +3,9 @@
 Usage:
     python -m studies.pictures.review data/test/berlin_301 --checkpoint dsrc/checkpoints/small-dsrc.pt
 
-An episode is added with `--episode EPISODE.npz`, a log of `dsrc drive`, and who helped with `--shares FOLDER` of
-`dsrc shares` on the drive.
+Pictures of results, of episodes and of who helped are added with `--evaluation FOLDER` of `dsrc evaluate` on the drive,
+`--campaign FOLDER` of `dsrc drive`, and `--shares FOLDER` of `dsrc shares` on the drive. `make -f studies/Makefile
+pictures` makes these folders and all pictures.
 """
 
 import argparse
@@ -18,8 +19,9 @@ from PIL import Image
 
 from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import ReviewApp
-from dsrc.review.page.cells import compare_address
+from dsrc.review.page.cells import cells_of, compare_address
 from dsrc.review.page.commands import go_to_error
+from dsrc.review.page.link import write_link
 from dsrc.review.page.output.export import export_pictures, write_animation
 from dsrc.review.page.output.screenshot import PATIENCE_S, BrowserPage, open_page
 from dsrc.review.page.server import start_server
@@ -29,6 +31,7 @@ from sim.files import signed_picture, write_file
 
 SIZE = (1500, 850)
 VIEW = "frame=10&camera=bev&off=labels"
+SNOW = "corruption=snow&severity=3"
 NEAR = "camera=chase&off=labels&view=-25,-6,15,6,2,0"
 """View of the animation: nearer than the camera that chases the ego by itself."""
 SHARED = "/?fixedDpr=1&frame=46&camera=bev&off=labels"
@@ -48,6 +51,7 @@ def picture_of_page(
     out: Path,
     prepare: Callable[[Session, BrowserPage], None] = lambda *_: None,
     cells: int = 1,
+    size: tuple[int, int] = SIZE,
 ) -> None:
     """Write a picture of a page with its panels.
 
@@ -57,10 +61,11 @@ def picture_of_page(
         out: PNG.
         prepare: called with the first session and the page before the picture is taken.
         cells: sessions of the page.
+        size: width and height of the page, px.
     """
     app = ReviewApp(model, start_server(), ReviewState(**model.opening(0)))
     try:
-        with open_page(app.url + address, SIZE) as page:
+        with open_page(app.url + address, size) as page:
             sessions = app.wait_session(cells, PATIENCE_S)
             for session in sessions:
                 session.wait_drawn(PATIENCE_S)
@@ -116,7 +121,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("drive", type=Path, help="drive to show")
     parser.add_argument("--checkpoint", type=Path, required=True, help="detector")
-    parser.add_argument("--episode", type=Path, help="log of an episode")
+    parser.add_argument("--evaluation", type=Path, help="folder of dsrc evaluate on the drive")
+    parser.add_argument("--campaign", type=Path, help="folder of dsrc drive, one encounter with several eyes")
     parser.add_argument("--shares", type=Path, help="folder of dsrc shares")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures/review"), help="folder of the pictures")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="pictures to make; default: all")
@@ -134,10 +140,17 @@ def main() -> None:
         "sensor_lab.png": lambda path: picture_of_page(model, pole, path, show_lab("Sensor lab")),
         "drive.gif": lambda path: write_animation(smooth_pictures(model, rows), path, 0.1),
     }
-    if given.episode is not None:
-        pictures["episode.png"] = lambda path: picture_of_page(
-            open_model(given.episode), "/?fixedDpr=1", path, show_sweeps
-        )
+    if given.evaluation is not None:
+        results = open_model(given.evaluation)
+        pictures["overview.png"] = lambda path: picture_of_page(results, "/?fixedDpr=1", path)
+        pictures["gallery.png"] = lambda path: picture_of_page(results, f"/?fixedDpr=1&{SNOW}&gallery=1", path)
+        pictures["narrow.png"] = lambda path: picture_of_page(results, f"/?fixedDpr=1&{SNOW}", path, size=(700, 850))
+    if given.campaign is not None:
+        episodes = open_model(given.campaign)
+        opened = ReviewState(**episodes.opening(0))
+        eyes = compare_address(*(write_link(episodes, one) for one in cells_of(episodes, opened)[:2]))
+        pictures["episode.png"] = lambda path: picture_of_page(episodes, "/?fixedDpr=1", path, show_sweeps)
+        pictures["eyes.png"] = lambda path: picture_of_page(episodes, eyes, path, show_sweeps, 2)
     if given.shares is not None:
         pictures["shares.png"] = lambda path: picture_of_page(open_model(given.shares), SHARED, path)
     for name in given.only or pictures:
