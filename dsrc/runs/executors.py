@@ -299,11 +299,14 @@ class _Worker:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Block SIGINT, also for processes that start within the block, from their first moment on."""
+    """Block SIGINT and SIGTERM, also for processes that start within the block, from their first moment on.
+
+    A process whose parent is interrupted while it starts would end with a stack trace.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
     finally:
@@ -313,6 +316,8 @@ def _without_interrupts() -> Iterator[None]:
 def _serve(pipe: Connection) -> None:
     """Run items until the pipe closes; interrupts are left to the parent, whose end is the worker's too."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     threading.Thread(target=_follow_parent, daemon=True).start()
     while True:
         try:
