@@ -65,6 +65,7 @@ class Stream(Enum):
     RADIO_LOSSES = "child", 7, "instant, sender, receiver"
     RADIO_BURSTS = "child", 21, "instant, sender, receiver"
     RADIO_JITTER = "child", 22, "instant, sender, receiver"
+    RADIO_EQUIPMENT = "child", 24, "agent"
     # Training, lists of the training's own seed
     TRAINING_ORDER = "list", 1, "epoch"
     TRAINING_AUGMENTATION = "list", 2, "epoch, frame"

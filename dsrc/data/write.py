@@ -133,6 +133,10 @@ def generate(options: GenerateOptions, progress: Progress | None = None, watch: 
     scenario = options.scenario if isinstance(options.scenario, Scenario) else load_scenario(options.scenario)
     if options.vehicles is not None and options.vehicles < 0:
         raise SettingsError(complaint("generate", "--vehicles", "at least 0", options.vehicles))
+    if options.vehicles is not None and scenario.conflict is not None:
+        expected = f"none, as the encounter {scenario.name} names who carries a LiDAR"
+        hint = "; dsrc dataset render writes its drive with fewer"
+        raise SettingsError(complaint("generate", "--vehicles", expected, options.vehicles, hint))
     scenario = with_sensors(scenario, options.vehicles, options.lidar, options.roadside_lidar, options.roadside)
     scenario = in_world(scenario, options.world)
     if options.at is not None:

@@ -20,6 +20,7 @@ import msgspec
 
 from dsrc.faults.kinds import CORRUPTION, KINDS, FaultKind, FaultSettings, Severity, kind_names
 from sensors.corruptions import FAMILIES, Condition, CorruptedAgents, parse_agents
+from sensors.corruptions.apply import AGENTS_TEXT, in_group
 from sim.errors import SettingsError, complaint, did_you_mean
 
 _TIME = re.compile(r"(?P<number>[0-9.eE+-]+)\s*s?")
@@ -27,6 +28,14 @@ _WORDS = re.compile(r"\s+(from|to|for|on)\s+")
 _TIGHT_PLUS = re.compile(r"\w\+ *[a-z]|\w *\+[a-z]")
 _LAST_WORD = re.compile(r"\s(from|to|for|on)$")
 _SLACK_S = 1e-6
+_KINDS_OF: dict[str, set[str]] = {
+    "all": {"ego", "vehicle", "unit"},
+    "ego": {"ego"},
+    "helpers": {"vehicle", "unit"},
+    "vehicles": {"ego", "vehicle"},
+    "roadside": {"unit"},
+}
+"""Agents of each group: the ego, other vehicles, roadside units."""
 
 
 class Fault(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,9 +82,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
 
     def on(self, agent_id: int, ego_id: int) -> bool:
         """Whether it acts on an agent."""
-        if isinstance(self.agents, str):
-            return self.agents == "all" or (agent_id == ego_id) == (self.agents == "ego")
-        return agent_id in self.agents
+        return in_group(self.agents, agent_id, ego_id)
 
     @property
     def condition(self) -> Condition:
@@ -94,7 +101,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
     def needs(self) -> str:
         """What it acts on beside the ego itself: `sensor`, `radio` (helpers), `message` (objects they tell), or ""."""
         if self.what.place == "localisation":
-            return "radio" if self.agents == "helpers" else ""
+            return "radio" if self.agents in ("helpers", "roadside") else ""
         return self.what.place if self.what.place in ("sensor", "radio", "message") else ""
 
     @property
@@ -182,7 +189,7 @@ def _share_time(one: Fault, other: Fault) -> bool:
 
 def _share_agent(one: Fault, other: Fault, ego_id: int | None) -> bool:
     if isinstance(one.agents, str) and isinstance(other.agents, str):
-        return "all" in (one.agents, other.agents) or one.agents == other.agents
+        return bool(_KINDS_OF[one.agents] & _KINDS_OF[other.agents])
     if isinstance(one.agents, str):
         return _share_agent(other, one, ego_id)
     if isinstance(other.agents, str):
@@ -219,10 +226,10 @@ def _parse_one(text: str, where: str) -> Fault:
         try:
             agents = parse_agents(given["on"].strip())
         except SettingsError:
-            expected = "all, ego, helpers or ids of agents, such as 1003,-1, after 'on'"
+            expected = f"{AGENTS_TEXT}, such as 1003,-1, after 'on'"
             raise SettingsError(complaint(where, field, expected, given["on"])) from None
         if (kind.agents == "ego" and agents != "ego") or (kind.agents == "helpers" and agents in ("ego", "all")):
-            expected = f"{kind.agents}{' or their ids' if kind.agents == 'helpers' else ''} after 'on'"
+            expected = f"{kind.agents}{', vehicles, roadside or ids' if kind.agents == 'helpers' else ''} after 'on'"
             raise SettingsError(complaint(where, field, expected, given["on"]))
     made = Fault(kind=name, settings=_settings(kind, numbers, where, field), from_s=begin, to_s=end, agents=agents)
     if kind is CORRUPTION:

@@ -202,6 +202,7 @@ KINDS: dict[str, FaultKind] = {
     "localisation_drift": FaultKind("localisation", Drift),
     "speed_reading": FaultKind("localisation", Gain, "ego"),
     "loss": FaultKind("radio", Share, "helpers", ("loss",)),
+    "unequipped": FaultKind("radio", Share, "helpers", ("unequipped",)),
     "bursts": FaultKind("radio", Bursts, "helpers", ("burst_loss", "burst_s")),
     "delay": FaultKind("radio", Seconds, "helpers", ("delay_s",)),
     "jitter": FaultKind("radio", Seconds, "helpers", ("jitter_s",)),

@@ -30,7 +30,8 @@ class DriveOptions(msgspec.Struct, frozen=True):
             default: none.
         severity: severities of each corruption, 1 to 5; default: 3.
         family: models of the corruptions: of physical causes, or as published in papers; default: physical.
-        corrupted_agents: agents whose sensors are corrupted: ego, helpers, all, or ids such as 1002,-1; default: all.
+        corrupted_agents: agents whose sensors are corrupted: ego, helpers, vehicles, roadside, all, or ids such as
+            1002,-1; default: all.
         channel: radio channels; default: ideal.
         loss: share of packets lost, 0 to 1, such as 0.3; default: the channel's.
         delay_s: delay of messages, s; default: the channel's.

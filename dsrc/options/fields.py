@@ -27,7 +27,7 @@ Data = Positional[Annotated[Path, arg(metavar="DATA")]]
 Scenario = Positional[Annotated[str, arg(metavar="SCENARIO")]]
 Splits = Positional[Annotated[str, arg(metavar="SPLITS")]]
 Family = Literal["physical", "paper"]
-AgentsText = Annotated[str, arg(metavar="{all,ego,helpers,ID[,ID...]}")]
+AgentsText = Annotated[str, arg(metavar="{all,ego,helpers,vehicles,roadside,ID[,ID...]}")]
 """Agents whose sweeps are corrupted, see `sensors.corruptions.parse_agents`."""
 
 FaultTexts = Annotated[tuple[str, ...], arg(metavar="FAULT [...]")]

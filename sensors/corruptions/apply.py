@@ -6,7 +6,7 @@ are those of `sim.streams`. Published models have no time: they draw anew for ev
 """
 
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -19,12 +19,17 @@ from sim.streams import Stream, derived_seed, random_generator
 
 EVERYONE: Literal["all"] = "all"
 
-CorruptedAgents = Literal["all", "ego", "helpers"] | tuple[int, ...]
-"""Agents whose sweeps are corrupted: all, the ego alone, all but the ego, or those of some ids. Weather is everywhere
-by nature: weather at some agents alone is a counterfactual, what it does to these sensors and to nothing else."""
+AgentGroup = Literal["all", "ego", "helpers", "vehicles", "roadside"]
+"""Agents by a word: all, the ego alone, all but the ego, vehicles, or roadside units."""
+
+CorruptedAgents = AgentGroup | tuple[int, ...]
+"""Agents whose sweeps are corrupted: a group, or those of some ids. Weather is everywhere by nature: weather at some
+agents alone is a counterfactual, what it does to these sensors and to nothing else."""
 
 
-_WORDS: dict[str, Literal["all", "ego", "helpers"]] = {"all": "all", "ego": "ego", "helpers": "helpers"}
+_WORDS: dict[str, AgentGroup] = {word: word for word in get_args(AgentGroup)}
+AGENTS_TEXT = "all, ego, helpers, vehicles, roadside or ids of agents"
+"""What names agents, for messages."""
 
 
 def corrupt(sweep: Sweep, kind: str, severity: int, rng: np.random.Generator, family: Family = "physical") -> Sweep:
@@ -110,7 +115,7 @@ def corrupt_frame(
 
 
 def parse_agents(text: str) -> CorruptedAgents:
-    """Return the `CorruptedAgents` of `all`, `ego`, `helpers` or ids between commas, as `1003,-1`.
+    """Return the `CorruptedAgents` of the word of a group or ids between commas, as `1003,-1`.
 
     Raises:
         SettingsError: the text is none of these.
@@ -121,26 +126,35 @@ def parse_agents(text: str) -> CorruptedAgents:
     try:
         return tuple(int(part) for part in text.split(","))
     except ValueError:
-        expected = "all, ego, helpers or ids of agents, such as 1003,-1"
+        expected = f"{AGENTS_TEXT}, such as 1003,-1"
         raise SettingsError(complaint("corruption", "corrupted_agents", expected, text)) from None
 
 
 def require_agents(kind: str, agents: CorruptedAgents) -> None:
-    """Raise SettingsError unless `agents` is `all`, `ego`, `helpers` or ids, and the kind can corrupt it."""
+    """Raise SettingsError unless `agents` is a group or ids, and the kind can corrupt it."""
     where = f"corruption '{kind}'"
     if agents not in _WORDS and (isinstance(agents, str) or len(agents) == 0):
-        raise SettingsError(complaint(where, "corrupted_agents", "all, ego, helpers or ids of agents", agents))
+        raise SettingsError(complaint(where, "corrupted_agents", AGENTS_TEXT, agents))
     if agents == "ego" and kind != CLEAN and CORRUPTIONS[kind].spares_ego:
         raise SettingsError(
             complaint(where, "corrupted_agents", "helpers, as it is an error relative to the ego", agents)
         )
 
 
+def in_group(agents: CorruptedAgents, agent_id: int, ego_id: int) -> bool:
+    """Return whether an agent is one of those named; ids of roadside units are negative."""
+    if not isinstance(agents, str):
+        return agent_id in agents
+    if agents in ("vehicles", "roadside"):
+        return (agent_id < 0) == (agents == "roadside")
+    return agents == "all" or (agent_id == ego_id) == (agents == "ego")
+
+
 def _rows(frame: Frame, agents: CorruptedAgents, ego: int) -> set[int]:
     """Return the rows of the agents whose sweeps are corrupted."""
     ids = [agent.agent_id for agent in frame.agents]
     if isinstance(agents, str):
-        return {row for row in range(len(ids)) if agents == "all" or (row == ego) == (agents == "ego")}
+        return {row for row, one in enumerate(ids) if in_group(agents, one, ids[ego])}
     for one in agents:
         if one not in ids:
             raise DataError(complaint(f"frame {frame.index}", "corrupted_agents", f"ids among the agents {ids}", one))

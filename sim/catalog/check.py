@@ -10,7 +10,7 @@ from sim.encounters import KINDS, own
 from sim.errors import did_you_mean
 from sim.roads.tools import sumo_tools
 from sim.roads.wheels import wheel_folders
-from sim.scenario import MOTOR_CLASSES, SIGNAL_LETTERS, EncounterSpec, Scenario
+from sim.scenario import MOTOR_CLASSES, SIGNAL_LETTERS, AgentRule, EncounterSpec, Scenario
 from sim.settings import dotted
 from sim.traffic.highway.roads import ENVIRONMENTS
 
@@ -59,6 +59,8 @@ def wrong_values(scenario: Scenario, path: Path) -> Iterator[tuple[str, str, obj
         yield "demand.type_mix", "a positive weight", dict(demand.type_mix), ""
     if scenario.conflict is not None:
         yield from _wrong_conflict(scenario.conflict, ", ".join(given))
+        if scenario.agents.vehicles != AgentRule().vehicles:
+            yield "agents.vehicles", "none, as its encounter names them", scenario.agents.vehicles, ""
     for index, unit in enumerate(scenario.agents.roadside):
         if unit.xyz_m[2] <= 0:
             yield f"agents.roadside[{index}].xyz_m", "a height above the ground > 0", list(unit.xyz_m), ""

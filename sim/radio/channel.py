@@ -160,7 +160,7 @@ class Channel:
             )
         if spec.message_hz is not None:
             stride = max(stride, math.ceil(1.0 / (spec.message_hz * self.interval_s) - 1e-9))
-        held = not instant.bytes[rows[0]] or instant.index % stride != self._phase(sender, stride)
+        held = not self._says(instant, rows[0]) or instant.index % stride != self._phase(sender, stride)
         if held or distance > spec.range_m:
             arrived = np.zeros(packets, bool)
         received = float(arrived.mean()) >= LEAST_SHARE
@@ -216,12 +216,19 @@ class Channel:
         if self.spec.medium not in ("csma", "sps"):
             return 0.0, 1, 0.0
         near = np.linalg.norm(instant.antenna - instant.antenna[row], axis=1) <= HEARING_M
-        sizes = [self._on_air(size) for size in instant.bytes]
+        sizes = [self._on_air(self._says(instant, one)) for one in range(len(instant.bytes))]
         air = np.array([message_airtime_s(self.spec, size) if size else 0.0 for size in sizes])
         total = float(air[near].sum())
         pause = dcc_gate_s(total / self.interval_s) if self.spec.congestion_control else 0.0
         stride = max(1, math.ceil(max(pause, total) / self.interval_s - 1e-9))
         return min(1.0, total / (stride * self.interval_s)), stride, total - float(air[row])
+
+    def _says(self, instant: RadioSnapshot, row: int) -> int:
+        """Return the bytes that an agent sends, none without a radio; a larger share takes more of the same agents."""
+        agent = instant.agent_ids[row]
+        share = self.sent_with(instant.index, agent).unequipped
+        without = share > 0.0 and self._rng(Stream.RADIO_EQUIPMENT, agent).random() < share
+        return 0 if without else instant.bytes[row]
 
     def _phase(self, sender: int, stride: int) -> int:
         return int(self._rng(Stream.RADIO_PHASE, sender).integers(2**31)) % stride

@@ -23,7 +23,7 @@ HEARING_M = 500.0
 """Carrier sense range: agents within it count for the channel load, m."""
 
 
-_LATER = ("burst_loss", "burst_s", "jitter_s", "message_hz", "longest_age_s")
+_LATER = ("unequipped", "burst_loss", "burst_s", "jitter_s", "message_hz", "longest_age_s")
 """Settings that channels once had not."""
 
 
@@ -61,6 +61,7 @@ class ChannelSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         error_correlation_s: correlation time of the pose error; 0: independent in every instant.
         clock_error_s: standard deviation of the senders' clocks, s.
         trace: CSV file of `trace`.
+        unequipped: share of the agents that have no radio for the whole drive, 1 less the penetration rate.
         burst_loss: share of the time in which a link is down and loses all packets.
         burst_s: mean length of such a burst, s.
         jitter_s: mean of a further delay of each message, exponentially distributed, s.
@@ -89,6 +90,7 @@ class ChannelSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     error_correlation_s: NonNegative = 0.0
     clock_error_s: NonNegative = 0.0
     trace: str = ""
+    unequipped: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     burst_loss: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.0
     burst_s: Positive = 0.5
     jitter_s: NonNegative = 0.0
@@ -148,6 +150,7 @@ CHANGES: dict[str, tuple[tuple[str, ...], float, float]] = {
     "loss": (("packet_loss",), 0.0, 1.0),
     "delay_s": (("delay_s",), 0.0, inf),
     "pose_error": (("position_error_m", "heading_error_deg"), 0.0, inf),
+    "unequipped": (("unequipped",), 0.0, 1.0),
     "burst_loss": (("burst_loss",), 0.0, 0.99),
     "burst_s": (("burst_s",), 0.01, inf),
     "jitter_s": (("jitter_s",), 0.0, inf),
@@ -169,13 +172,14 @@ class Radio:
         loss: probability of packet loss, 0 to 1.
         delay_s: latency from measurement to sending, s.
         pose_error: standard deviation of a sender's own position, m, and heading, degrees.
-        burst_loss, burst_s, jitter_s, message_hz, range_m, longest_age_s: see `ChannelSpec`.
+        unequipped, burst_loss, burst_s, jitter_s, message_hz, range_m, longest_age_s: see `ChannelSpec`.
     """
 
     channel: str = IDEAL
     loss: float | None = None
     delay_s: float | None = None
     pose_error: float | None = None
+    unequipped: float | None = None
     burst_loss: float | None = None
     burst_s: float | None = None
     jitter_s: float | None = None

@@ -88,14 +88,15 @@ def smooth_pictures(model: ReviewModel, rows: Sequence[int]) -> Iterator[NDArray
         yield np.asarray(Image.fromarray(image).resize(written, Image.Resampling.LANCZOS))
 
 
-def show_lab(title: str) -> Callable[[Session, BrowserPage], None]:
-    """Scroll to the folder of a lab, opened."""
+def show_folder(title: str, folded: bool = False) -> Callable[[Session, BrowserPage], None]:
+    """Scroll to a folder, opened."""
     folder = f"[...document.querySelectorAll('*')].filter(e=>e.textContent.trim()==='{title}').pop()"
 
     def show(_: Session, page: BrowserPage) -> None:
-        page.wait_for(folder, 60.0)
-        page.evaluate(f"{folder}.click()")
-        time.sleep(1.0)
+        page.wait_for(folder, PATIENCE_S)
+        if folded:
+            page.evaluate(f"{folder}.click()")
+            time.sleep(1.0)
         page.evaluate(f"{folder}.scrollIntoView({{block:'start'}})")
 
     return show
@@ -136,14 +137,15 @@ def main() -> None:
     pictures: dict[str, Callable[[Path], object]] = {
         "errors.png": lambda path: picture_of_page(model, "/?fixedDpr=1&frame=3", path, show_errors),
         "cells.png": lambda path: picture_of_page(model, compare_address(VIEW, foggy), path, cells=2),
-        "corruption_lab.png": lambda path: picture_of_page(model, fog, path, show_lab("Corruption lab")),
-        "sensor_lab.png": lambda path: picture_of_page(model, pole, path, show_lab("Sensor lab")),
+        "corruption_lab.png": lambda path: picture_of_page(model, fog, path, show_folder("Corruption lab", True)),
+        "sensor_lab.png": lambda path: picture_of_page(model, pole, path, show_folder("Sensor lab", True)),
         "drive.gif": lambda path: write_animation(smooth_pictures(model, rows), path, 0.1),
     }
     if given.evaluation is not None:
         results = open_model(given.evaluation)
         pictures["overview.png"] = lambda path: picture_of_page(results, "/?fixedDpr=1", path)
-        pictures["gallery.png"] = lambda path: picture_of_page(results, f"/?fixedDpr=1&{SNOW}&gallery=1", path)
+        worst = f"/?fixedDpr=1&{SNOW}&gallery=1"
+        pictures["gallery.png"] = lambda path: picture_of_page(results, worst, path, show_folder("Errors by cause"))
         pictures["narrow.png"] = lambda path: picture_of_page(results, f"/?fixedDpr=1&{SNOW}", path, size=(700, 850))
     if given.campaign is not None:
         episodes = open_model(given.campaign)

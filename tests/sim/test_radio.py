@@ -343,3 +343,25 @@ def test_a_channel_without_later_settings_has_the_key_that_it_had() -> None:
     assert {"packet_loss", "delay_s", "clock_error_s", "trace"} <= known.keys()
     assert not {"burst_loss", "burst_s", "jitter_s", "message_hz", "longest_age_s"} & known.keys()
     assert changed_spec(PRESETS["ideal"], {"jitter_s": 0.1}).decisive()["jitter_s"] == 0.1
+
+
+def test_agents_without_a_radio_are_as_many_as_said_stay_so_and_are_among_those_of_a_larger_share() -> None:
+    def silent(share: float, seed: int) -> set[int]:
+        spec = replace(get_channel("ideal"), unequipped=share)
+        channel = Channel(spec, seed, 0.1)
+        instants = [at(index, [(10.0 * agent, 0.0) for agent in range(9)]) for index in range(3)]
+        found = [{one for one in range(1, 9) if channel.link(now, one, 0).held} for now in instants]
+        assert found[0] == found[1] == found[2]
+        return found[0]
+
+    some, more = ([silent(share, seed) for seed in range(100)] for share in (0.3, 0.6))
+    assert all(few <= many for few, many in zip(some, more, strict=True))
+    assert sum(map(len, some)) / 800 == pytest.approx(0.3, abs=0.05)
+    assert sum(map(len, more)) / 800 == pytest.approx(0.6, abs=0.05)
+    assert not silent(0.0, 0) and len(silent(1.0, 0)) == 8
+
+
+def test_who_has_no_radio_loads_no_channel() -> None:
+    street = at(0, [(10.0 * agent, 0.0) for agent in range(9)])
+    loads = [Channel(replace(SLOW, unequipped=share), 0, 0.1).link(street, 0, 1).load for share in (0.0, 0.5, 1.0)]
+    assert loads[0] > loads[1] > loads[2] == 0.0

@@ -163,10 +163,11 @@ const links=new URLSearchParams(location.search).getAll('__CELL__').slice(0,__MO
 const pair=Math.random().toString(36).slice(2);
 const drive=link=>new URLSearchParams(link).get('drive')||'0';
 const title=link=>{const q=new URLSearchParams(link),k=q.get('corruption')||'clean',parts=[];
- if(links.some(one=>drive(one)!==drive(links[0])))parts.push('drive '+drive(link));
+ const own=links.some(one=>drive(one)!==drive(links[0])),name=drive(link);
+ if(own)parts.push(/^\\d+$/.test(name)?'drive '+name:name);
  if(q.get('methods'))parts.push(q.get('methods').split('|').map(decodeURIComponent).join(', '));
  if(q.get('cooperative')==='0')parts.push('ego alone');
- parts.push(k==='clean'||k.includes(':')?k:k.replaceAll('_',' ')+' '+(q.get('severity')||3));
+ if(!own||k!=='clean')parts.push(k==='clean'||k.includes(':')?k:k.replaceAll('_',' ')+' '+(q.get('severity')||3));
  return parts.join(' \\u00b7 ');};
 const frames=links.map((link,number)=>{
  const cell=document.createElement('section'),frame=document.createElement('iframe');

@@ -1,7 +1,6 @@
 """Links: a state and a camera as the query of a page's address, and back."""
 
 import math
-import re
 from dataclasses import fields, replace
 from typing import Any
 from urllib.parse import parse_qsl, quote
@@ -37,7 +36,6 @@ _BETWEEN = "|"
 _DEFAULTS = {field.name: getattr(ReviewState(), field.name) for field in fields(ReviewState)}
 _ROWS = {control.link: control for control in CONTROLS if control.link}
 """Controls by their names in links; switches of one set share a name."""
-_PLAIN = re.compile(r"[\w.~-]+", re.ASCII)
 
 
 def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None = None) -> str:
@@ -175,7 +173,7 @@ def _check_selection(model: ReviewModel, state: ReviewState) -> None:
 def _text(model: ReviewModel, field: str, value: Any) -> str:
     if field == "drive":
         name = model.names[value]
-        return name if model.names.count(name) == 1 and _PLAIN.fullmatch(name) else str(value)
+        return quote(name, safe="") if model.names.count(name) == 1 and not name.isdecimal() else str(value)
     if field == "parameters":
         return ",".join(f"{name}:{number}" for name, number in value)
     if field in ("placement", "ruler"):

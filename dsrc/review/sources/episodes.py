@@ -203,19 +203,22 @@ class EpisodeSource(Source):
 
 
 def episode_source(log: EpisodeLog) -> EpisodeSource:
-    """Source of an episode that has ended, named by scenario, perception and seed.
+    """Source of an episode that has ended, named by scenario, perception, driver and fault, if not the usual, and seed.
 
     Raises:
         DataError: the episode has no step.
     """
     settings = log.settings
-    source = EpisodeSource(f"{settings.scenario.name}, {settings.perception}, seed {settings.seed}")
+    channel = "" if settings.channel == IDEAL else settings.channel
+    named = [settings.condition.label if settings.corruption != CLEAN else "", channel, settings.fault]
+    fault = " + ".join(filter(None, named))
+    unusual = "" if settings.driver == "planning" else settings.driver, fault
+    parts = settings.scenario.name, settings.perception, *filter(None, unusual), f"seed {settings.seed}"
+    source = EpisodeSource(", ".join(parts))
     if len(log) == 0:
         raise DataError(complaint(source.name, "steps", "at least one", "none"))
     source.place(settings.scenario, settings.seed)
-    channel = "" if settings.channel == IDEAL else settings.channel
-    named = [settings.condition.label if settings.corruption != CLEAN else "", channel, settings.fault]
-    source.fault = " + ".join(part for part in named if part) or CLEAN
+    source.fault = fault or CLEAN
     senses = recast_senses(log)
     for row, tick in enumerate(log.ticks):
         there = senses is not None and settings.ego_id in tick.actors.boxes.object_id

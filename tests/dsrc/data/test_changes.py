@@ -1,8 +1,11 @@
 """Scenarios with other sensors, agents or another place."""
 
+from pathlib import Path
+
 import pytest
 
 from dsrc.data.changes import HALF_M, at_place
+from dsrc.data.write import generate
 from sim.catalog.load import load_scenario
 from sim.errors import SettingsError
 
@@ -26,3 +29,8 @@ def test_a_place_is_two_numbers(at: str) -> None:
 def test_an_encounter_has_its_own_place() -> None:
     with pytest.raises(SettingsError, match="leave out --at"):
         at_place(load_scenario("lta_truck"), "1,2")
+
+
+def test_an_encounter_names_who_carries_a_lidar(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="--vehicles: expected none, as the encounter lta_truck names who"):
+        generate("lta_truck", out=tmp_path, vehicles=1)

@@ -100,7 +100,7 @@ def test_who_is_corrupted_is_part_of_every_condition(tmp_path: Path) -> None:
     options = BenchmarkOptions(checkpoint=("c.pt",), data=("data",), corrupted_agents="1002,-1")
     assert plan_of(options).corrupted_agents == "1002,-1"
     for who, message in (
-        ("helper", "corrupted_agents: expected all, ego, helpers or ids"),
+        ("helper", "corrupted_agents: expected all, ego, helpers, vehicles, roadside or ids"),
         ("ego", "pose_error.* expected helpers"),
     ):
         wrong = GOOD.replace('name = "small"', f'name = "small"\ncorrupted_agents = "{who}"').replace(

@@ -72,8 +72,11 @@ def test_it_is_there_from_its_begin_until_before_its_end() -> None:
         ("fog:3 from -1 s", "expected seconds >= 0 after 'from', found -1 s"),
         ("fog:3 from soon", "expected seconds >= 0 after 'from', found soon"),
         ("fog:3 from 1 s from 2 s", "expected from, to or for, and on once each"),
-        ("fog:3 on moon", "expected all, ego, helpers or ids of agents, such as 1003,-1, after 'on', found moon"),
-        ("loss:0.3 on ego", "expected helpers or their ids after 'on', found ego"),
+        (
+            "fog:3 on moon",
+            "roadside or ids of agents, such as 1003,-1, after 'on', found moon",
+        ),
+        ("loss:0.3 on ego", "expected helpers, vehicles, roadside or ids after 'on', found ego"),
         ("pose_error:3 on ego", "expected helpers, as it is an error relative to the ego, found ego"),
         ("fog:3 + fog:2 for 5 s", "fault 'fog:2 for 5 s': expected one fault of the kind 'fog'"),
         ("fog:3 + fog:2", "fault 'fog:2': expected one fault of the kind 'fog' at a time on an agent, found 'fog:3'"),
@@ -97,6 +100,12 @@ def test_a_wrong_fault_is_told_in_one_line(text: str, said: str) -> None:
         ("fog:3 on 1003,1004 + fog:2 on 1004", False),
         ("fog:3 on 1003 + fog:2 on helpers", False),
         ("fog:3 + snow:3", True),
+        ("fog:3 on roadside + fog:2 on vehicles", True),
+        ("fog:3 on roadside + fog:2 on ego", True),
+        ("fog:3 on roadside + fog:2 on helpers", False),
+        ("fog:3 on vehicles + fog:2 on ego", False),
+        ("fog:3 on roadside + fog:2 on -1", False),
+        ("fog:3 on roadside + fog:2 on 1003", True),
     ],
 )
 def test_a_fault_may_not_overlap_itself(text: str, apart: bool) -> None:

@@ -93,7 +93,7 @@ def test_a_former_name_is_taken_and_told(capsys: pytest.CaptureFixture[str], tmp
             main(["corrupt", *words, "--who", "nobody"])
     first, second = capsys.readouterr().err.splitlines()
     assert first == f"dsrc: --who is deprecated and goes on {GOES}; use --corrupted-agents"
-    assert "corrupted_agents: expected all, ego, helpers or ids" in second
+    assert "corrupted_agents: expected all, ego, helpers, vehicles, roadside or ids" in second
     with pytest.raises(SystemExit):
         main(["corrupt", *words, "--who", "all", "--corrupted-agents", "ego"])
     assert "--who and --corrupted-agents are the same; leave out --who" in capsys.readouterr().err

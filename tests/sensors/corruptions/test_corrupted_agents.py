@@ -31,6 +31,8 @@ def test_only_the_agents_asked_for_are_corrupted(kind: str) -> None:
     assert changed(kind, "ego", ego_id=1003) == {1003}
     assert changed(kind, "helpers") == {1003, -1}
     assert changed(kind, "helpers", ego_id=1003) == {1000, -1}
+    assert changed(kind, "vehicles") == {1000, 1003}
+    assert changed(kind, "roadside") == {-1}
     assert changed(kind, (1003,)) == {1003}
     assert changed(kind, (1000, -1)) == {1000, -1}
 
@@ -56,7 +58,7 @@ def test_an_error_relative_to_the_ego_is_one_of_helpers_alone(kind: str) -> None
 
 @pytest.mark.parametrize("who", ["", "Ego", "1003", ()])
 def test_other_words_are_refused(who: CorruptedAgents) -> None:
-    with pytest.raises(SettingsError, match="corrupted_agents: expected all, ego, helpers or ids of agents, found"):
+    with pytest.raises(SettingsError, match=r"corrupted_agents: expected all, .*, roadside or ids of agents, found"):
         changed("fog", who)
 
 

@@ -133,6 +133,7 @@ MISTAKES = {
         ["conflict.parameters.queue", "whole numbers", "2.5"],
     ),
     "control": ({"kind": "ima_building", "control": "no_oclcuder"}, ["conflict.control", "no_oclcuder"]),
+    "who drives": ({"kind": "ima_building"}, ["agents.vehicles", "none, as its encounter names them", "found 1"]),
     "no kind": ({}, ["conflict.kind", "a value", "nothing"]),
 }
 
@@ -165,7 +166,6 @@ ego = ["166445412_1", "23204862_1"]
 conflict = ["166445407_0", "30425847#0_0"]
 truck = ["166445407_1", "29136063#0_1"]
 [agents]
-vehicles = 1
 """
 
 STREET_MISTAKES = {

@@ -445,7 +445,10 @@ def test_a_defence_is_another_episode_and_none_is_the_same_as_without() -> None:
             {"fault": ("ghost",), "perception": ("team",)},
             "a perception whose helpers tell boxes, team-sight or late .*, found team",
         ),
-        ({"fault": ("ghost on ego",)}, "fault 'ghost on ego': expected helpers or their ids after 'on', found ego"),
+        (
+            {"fault": ("ghost on ego",)},
+            "expected helpers, vehicles, roadside or ids after 'on', found ego",
+        ),
     ],
 )
 def test_a_wrong_defence_or_attack_is_told_in_one_line(options: dict[str, Any], message: str) -> None:

@@ -33,6 +33,7 @@ SENSED = {
 }
 RADIO = {
     "loss": "loss:1",
+    "unequipped": "unequipped:1",
     "bursts": "bursts:0.99",
     "delay": "delay:0.2",
     "jitter": "jitter:5",
@@ -123,6 +124,7 @@ def test_a_loss_of_0_equals_no_radio_fault() -> None:
 def test_a_radio_fault_acts_on_the_senders_that_it_names() -> None:
     assert all(sample.agent_ids == (EGO,) for sample in driven("loss:1")[2])
     assert all(sample.agent_ids == (EGO,) for sample in driven(f"loss:1 on {HELPER}")[2])
+    assert all(sample.agent_ids == (EGO,) for sample in driven("unequipped:1")[2])
     ages = [percept.links[0].age_s for percept in driven("loss:1 from 0.3 s to 0.5 s")[0]]
     assert ages == pytest.approx([0, 0, 0, 0.1, 0.2, 0, 0, 0, 0]), "what came before is used"
 

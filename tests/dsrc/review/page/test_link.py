@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import fields, replace
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -74,7 +75,7 @@ def test_agents_of_a_corruption_are_words_or_ids(two: ReviewModel) -> None:
         state = ReviewState(corruption="fog", corrupted_agents=who)
         assert read_link(write_link(two, state, None), two, ReviewState()) == (state, None, [])
     read, _, complaints = read_link("who=nobody", two, ReviewState())
-    assert read == ReviewState() and "corrupted_agents: expected all, ego, helpers or ids of agents" in complaints[0]
+    assert read == ReviewState() and "corrupted_agents: expected all, ego, helpers, vehicles, " in complaints[0]
 
 
 def test_no_number_of_a_camera_is_a_negative_zero(two: ReviewModel) -> None:
@@ -86,10 +87,19 @@ def test_the_link_of_the_start_is_empty(two: ReviewModel) -> None:
     assert write_link(two, ReviewState(), None) == ""
 
 
-def test_drives_are_named_where_their_name_can_stand_in_an_address(two: ReviewModel) -> None:
+@pytest.mark.parametrize("name", ["town_5.a", "lta_truck, ego, fog 3 + loss:0.5, seed 1", "Gießen & Fulda"])
+def test_a_drive_is_named_in_a_link_and_found_again_by_its_name(two: ReviewModel, name: str) -> None:
+    two.names[1] = name
+    link = write_link(two, ReviewState(drive=1), None)
+    assert link == f"drive={quote(name, safe='')}"
+    assert read_link(link, two, ReviewState())[0].drive == 1
+
+
+@pytest.mark.parametrize("name", ["7", "street"])
+def test_a_drive_whose_name_says_nothing_is_told_by_its_row(two: ReviewModel, name: str) -> None:
+    two.names[1] = name
+    two.names[0] = "street"
     assert write_link(two, ReviewState(drive=1), None) == "drive=1"
-    two.names[1] = "town_5.a"
-    assert write_link(two, ReviewState(drive=1), None) == "drive=town_5.a"
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,7 @@ def _corruptible(shown: Shown) -> dict[str, Any]:
     """Agents that a corruption may be of: all, some by their part, each alone, and those of the link."""
     agents, asked = () if shown.view is None else shown.view.agents, shown.state.corrupted_agents
     names = {"all agents": EVERYONE, "the ego": "ego", "the helpers": "helpers"}
+    names |= {"vehicles": "vehicles", "roadside units": "roadside"}
     names |= {f"{agent.name} alone": str(agent.agent_id) for agent in agents}
     return names if asked in names.values() else {**names, asked: asked}
 
