@@ -39,13 +39,18 @@ _ROWS = {control.link: control for control in CONTROLS if control.link}
 
 
 def write_link(model: ReviewModel, state: ReviewState, pose: CameraPose | None = None) -> str:
-    """Query of a state and a camera pose; what is as ever, and so at the start of the page, is left out."""
+    """Query of a state and a camera pose; what is as ever, and so at the start of the page, is left out.
+
+    The drive of an episode stays where others have the same scenario and seed: it is the title of its cell beside them.
+    """
     parts, start = [], model.start
+    named = model.twins(state.drive)
     if state.drive != start.drive:
         start = replace(start, **model.opening(state.drive))
     for name, control in _ROWS.items():
         value = getattr(state, control.field)
-        if not value == _DEFAULTS[control.field] == getattr(start, control.field):
+        usual = value == _DEFAULTS[control.field] == getattr(start, control.field)
+        if not usual or (control.field == "drive" and named):
             parts.append(f"{name}={_text(model, control.field, value)}")
     if pose is not None:
         # Adding zero makes one of the two zeros.

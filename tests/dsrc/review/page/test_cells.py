@@ -4,6 +4,7 @@ import time
 import urllib.request
 from dataclasses import replace
 from typing import Any
+from urllib.parse import parse_qsl
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.browser import OPEN_KEY
 from dsrc.review.page.cells import CellPair, cells_of, compare_address
 from dsrc.review.page.commands import COMMANDS
+from dsrc.review.page.link import write_link
 from dsrc.review.page.server import start_server
 from dsrc.review.page.session import Session
 from dsrc.review.sources.detected import ComputedSet
@@ -306,7 +308,10 @@ def test_one_episode_with_other_eyes_runs_in_step_and_the_shorter_waits_at_its_e
     logs = [episode(movers, steps, perception=eyes, seed=4) for steps, eyes in ((30, "sight"), (40, "truth"))]
     model = ReviewModel([*map(episode_source, logs), episode_source(episode(movers, 30, seed=5))])
     assert [model.twins(drive) for drive in range(3)] == [[1], [0], []]
-    assert [one.drive for one in cells_of(model, ReviewState(drive=1))] == [1, 0]
+    cells = cells_of(model, ReviewState(drive=1))
+    assert [one.drive for one in cells] == [1, 0]
+    names = [dict(parse_qsl(write_link(model, one)))["drive"] for one in cells]
+    assert [name.rpartition(", ")[0].rpartition(", ")[2] for name in names] == ["truth", "sight"]
     app = ReviewApp(model, start_server())
     try:
         left, right = (connect_browser(app, f"pair=e&drive={drive}").session for drive in (0, 1))
