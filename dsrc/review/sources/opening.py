@@ -1,5 +1,6 @@
 """Opening of sources: what a path holds, told at once where it is wrong."""
 
+import csv
 import threading
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -114,12 +115,25 @@ def _joined(runs: Mapping[str, list[Source]]) -> list[Source]:
 
 
 def _logs(folder: Path) -> list[Path]:
-    """Episode logs in a folder or in the `episodes` of a campaign, sorted."""
+    """Episode logs in a folder or in the `episodes` of a campaign, sorted.
+
+    Of a campaign those of its results: logs of the same episodes by an earlier version lie there, too.
+    """
     for place in (folder, folder / "episodes"):
         found = [path for path in sorted(place.glob("*.npz")) if _is_log(path)]
         if found:
-            return found
+            keys = _keys(folder / "results.csv")
+            return [path for path in found if path.stem in keys] or found
     return []
+
+
+def _keys(results: Path) -> set[str | None]:
+    """Names of the episodes of a table of results; none where there is no such table, or one of another kind."""
+    try:
+        with results.open(encoding="utf-8", newline="") as file:
+            return {row.get("key") for row in csv.DictReader(file)}
+    except (OSError, ValueError, csv.Error):
+        return set()
 
 
 def _is_log(path: Path) -> bool:

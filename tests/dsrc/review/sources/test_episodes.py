@@ -246,3 +246,16 @@ def test_a_folder_of_episodes_opens_on_a_crash(log: EpisodeLog, tmp_path: Path) 
     for name, outcome in (("a", Outcome.ARRIVED), ("b", Outcome.CRASHED), ("c", Outcome.STUCK)):
         EpisodeLog(log.settings, log.actors[0], log.ticks, outcome).save(tmp_path / f"{name}.npz")
     assert [source.timeline().outcome for source in open_sources(tmp_path)] == ["crashed", "arrived", "stuck"]
+
+
+@pytest.mark.parametrize(
+    ("table", "shown"),
+    [("scenario,key\nlta_truck,new\n", 1), ("scenario\nlta_truck\n", 2), ("key\nelsewhere\n", 2), ("\0\xff", 2)],
+)
+def test_a_campaign_opens_with_the_episodes_of_its_results(
+    log: EpisodeLog, tmp_path: Path, table: str, shown: int
+) -> None:
+    for name in ("new", "of_an_earlier_version"):
+        log.save(tmp_path / f"episodes/{name}.npz")
+    (tmp_path / "results.csv").write_bytes(table.encode("latin-1"))
+    assert len(open_sources(tmp_path)) == shown
