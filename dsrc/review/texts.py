@@ -234,6 +234,12 @@ def _box_rows(view: FrameView) -> list[_Row]:
     return [_Row(rgb, text, str(count), name, boxes=True) for rgb, text, count, name in counted]
 
 
+def counts_line(view: FrameView) -> str:
+    """HTML of a frame's number and counts in one line, for a folded legend."""
+    counts = "".join(f' · <b data-count="{row.name}">{row.count}</b> {row.name}' for row in _box_rows(view))
+    return f"Frame {view.index}{counts}"
+
+
 def summary(view: FrameView) -> str:
     """HTML of a frame in numbers: its counts, why detections are missing, and the legend with how many there are."""
     lines = ""

@@ -79,7 +79,9 @@ window.reviewPicture=async(url,html)=>{
  const load=async src=>{const image=new Image();image.src=src;await image.decode();return image;};
  const scene=await load(url),{width,height}=scene;
  const {body}=new DOMParser().parseFromString('<body style="margin:0;position:relative;height:100%">'+html,'text/html');
- const side=body.querySelector('#review-side');
+ // Nobody folds in a picture.
+ const panels=body.querySelector('#review-panels'),side=body.querySelector('#review-side');
+ panels.className='still';panels.style.flexDirection='row';
  if(side){
   // Nobody scrolls in a picture: what is too tall for it is drawn smaller.
   Object.assign(side.style,{maxHeight:'none',overflow:'hidden'});

@@ -2,7 +2,8 @@
 
 viser leaves its panels out of exported pages, so these are plain HTML. They say what is drawn, not what the player's
 slider stands at: each frame moves a node of the scene to its number, and they read it there. Where a later viser has no
-such place, the counts of the first frame stay.
+such place, the counts of the first frame stay. Legend and card fold, lie beside each other or, where that is too narrow,
+below each other.
 """
 
 import json
@@ -23,19 +24,32 @@ if(window.__VISER_EMBED_DATA__&&slider)
 """
 """Pause the player of an exported page and go back to its first frame."""
 
+ROOMY_PX = 900
+"""Width of a page or cell below which legend and card are folded at first, px: open they cover most of it."""
+
 _CSS = """
-#review,#review-side{position:absolute;z-index:5;top:14px;padding:14px 16px 12px;box-sizing:border-box;
+#review-panels{position:absolute;z-index:5;inset:14px 16px 96px;display:flex;justify-content:space-between;
+ align-items:flex-start;gap:8px;pointer-events:none}
+#review,#review-side{padding:14px 16px 12px;box-sizing:border-box;max-height:100%;overflow:auto;pointer-events:auto;
  font:13px/1.45 system-ui,"Segoe UI",Roboto,"DejaVu Sans",sans-serif;color:#dbe3ee;background:rgba(13,16,23,.88);
  border:1px solid rgba(148,163,184,.20);border-radius:10px;user-select:none}
-#review{left:16px;max-width:min(330px,80vw)}
-#review-side{right:16px;width:330px;max-width:46%;max-height:calc(100% - 110px);overflow:auto}
+#review{max-width:330px}
+#review-side[open]{flex:0 1 330px}
+@media (max-width:499px){#review-panels{flex-direction:column;align-items:stretch}
+ #review,#review-side[open]{flex:0 1 auto;max-width:none}}
+#review summary,#review-side summary{cursor:pointer}
+#review>summary,#review-side>summary{list-style:none}
+#review>summary::before,#review-side>summary::after{content:"\\25be";float:right;margin-left:8px;font-size:13px}
+#review[open]>summary::before,#review-side[open]>summary::after{content:"\\25b4"}
+#review-side[open]>summary{float:right;font-size:0}
+#review[open] #review-counts,.still>*>summary::before,.still>#review-side>summary{display:none}
 #review-side p{margin:0 0 .5em!important;font-size:13px!important}
 #review table,#review-side table{margin:0!important;font-size:12px!important}
 #review-side svg{cursor:default!important;margin-top:6px}
-#review-side summary{cursor:pointer;margin-top:8px}
+#review-side details summary{margin-top:8px}
 #review h1{margin:0 0 1px;font-size:15px;font-weight:650;color:#fff;letter-spacing:.01em}
-#review p{margin:0;color:#93a1b5;font-size:12px}
-#review .review p{margin:0!important;font-size:12px!important}
+#review>summary span{display:block;color:#93a1b5;font-size:12px}
+#review .review p{margin:0!important;font-size:12px!important;color:#93a1b5}
 #review .review ul{margin-top:8px;padding:8px 0 0;max-height:none;font-size:13px;
  border-top:1px solid rgba(148,163,184,.18)}
 #review .review b{color:#fff}
@@ -45,13 +59,15 @@ _CSS = """
 #review button:hover{background:rgba(148,163,184,.28);color:#fff}
 """
 
-_JS = """
+_JS = (
+    """
 (()=>{const d=window.__REVIEW__,$=i=>document.getElementById(i);let last=0;
 const show=k=>{if(k===last)return;last=k;const f=d.frames[k];
  for(const n in f){const e=$('review-'+n);if(e)e.innerHTML=f[n];}};
 const tick=()=>{const m=window.__viserMutable,p=m&&m.nodePoseData['__SHOWN__'],k=p?Math.round(p.position[0])-1:-1;
  if(d.frames[k])show(k);};
 setInterval(tick,50);
+for(const one of document.querySelectorAll('#review-panels>details'))one.open=innerWidth>=__ROOMY__;
 const still=d.stop&&setInterval(()=>{if(document.querySelector('[role=slider]')){clearInterval(still);__STOP__}},50);
 const turn=([w,x,y,z],[a,b,c])=>{const u=2*(y*c-z*b),v=2*(z*a-x*c),t=2*(x*b-y*a);
  return[a+w*u+y*t-z*v,b+w*v+z*u-x*t,c+w*t+x*v-y*u];};
@@ -62,7 +78,10 @@ for(const b of document.querySelectorAll('#review button'))b.onclick=()=>{
 window.addEventListener('keydown',e=>{const b=document.querySelector('#review button[data-key="'+e.key+'"]');
  if(b&&!/INPUT|TEXTAREA/.test(document.activeElement.tagName))b.click();});
 })();
-""".replace("__SHOWN__", SHOWN).replace("__STOP__", STOP)
+""".replace("__SHOWN__", SHOWN)
+    .replace("__STOP__", STOP)
+    .replace("__ROOMY__", str(ROOMY_PX))
+)
 
 _CELLS = """<!doctype html><html><head><meta charset="utf-8"><title>Review: side by side</title><style>
 html,body{margin:0;height:100%;background:#0a0c11;overflow:hidden}
@@ -91,7 +110,8 @@ def overlay(texts: list[dict[str, str]], title: str, cameras: list[CameraButton]
     """HTML of the overlay with the texts of the first frame.
 
     Args:
-        texts: HTML of every frame by its place: `subtitle` and `summary` on the left, `card` and `plots` on the right.
+        texts: HTML of every frame by its place: on the left `subtitle`, `summary` and, where that is folded, `counts`; on
+            the right `card` and `plots`.
         gallery: HTML of the pictures of the errors, "" for none.
     """
 
@@ -103,9 +123,13 @@ def overlay(texts: list[dict[str, str]], title: str, cameras: list[CameraButton]
     )
     side = "".join(own(name, "div") for name in ("card", "plots") if any(one.get(name) for one in texts))
     side += f"<details><summary>Errors by cause</summary>{gallery}</details>" if gallery else ""
+    head = f"<h1>{escape(title)}</h1>{own('subtitle', 'span')}{own('counts', 'span')}"
     return (
-        f'<style>{_CSS}</style><div id="review"><h1>{escape(title)}</h1>{own("subtitle", "p")}{own("summary", "div")}'
-        f"{f'<nav>{buttons}</nav>' if buttons else ''}</div>" + (f'<div id="review-side">{side}</div>' if side else "")
+        f'<style>{_CSS}</style><div id="review-panels">'
+        f'<details id="review" open><summary>{head}</summary>{own("summary", "div")}'
+        f"{f'<nav>{buttons}</nav>' if buttons else ''}</details>"
+        + (f'<details id="review-side" open><summary>Card and plots</summary>{side}</details>' if side else "")
+        + "</div>"
     )
 
 

@@ -29,7 +29,7 @@ from dsrc.review.page.scene import SceneWriter, backdrop, place_frame, set_light
 from dsrc.review.page.server import start_server, stop_server
 from dsrc.review.state import ReviewState, Theme
 from dsrc.review.static import AROUND_M, cut_around
-from dsrc.review.texts import moment_report, selection_report, summary
+from dsrc.review.texts import counts_line, moment_report, selection_report, summary
 from dsrc.review.view import FrameView
 from sim.errors import SettingsError, complaint
 from sim.geometry import pose_matrix
@@ -219,7 +219,7 @@ def _explain(model: ReviewModel, drive: int) -> None:
 
 def _texts(model: ReviewModel, state: ReviewState, view: FrameView, shared: bool) -> dict[str, str]:
     """Texts of a frame; of a shared one card and plots, too."""
-    texts = {"subtitle": _subtitle(model, state), "summary": summary(view)}
+    texts = {"subtitle": _subtitle(model, state), "counts": counts_line(view), "summary": summary(view)}
     if not shared:
         return texts
     source = model.sources[state.drive]

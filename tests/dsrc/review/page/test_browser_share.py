@@ -16,11 +16,12 @@ from dsrc.review import palette
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp
 from dsrc.review.page.cells import compare_address
-from dsrc.review.page.offline.overlay import overlay
+from dsrc.review.page.offline.overlay import ROOMY_PX, overlay
 from dsrc.review.page.offline.pages import LARGEST, picture_parts
-from dsrc.review.page.output.export import picture
+from dsrc.review.page.output.export import picture, write_page
 from dsrc.review.page.output.screenshot import BrowserPage, find_chromium, open_page
 from dsrc.review.page.server import start_server
+from dsrc.review.state import ReviewState
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
 from tests.dsrc.review.page.test_browser import PATIENCE_S, Opened, wait_for
 
@@ -94,6 +95,29 @@ def test_a_shared_page_opens_offline_with_the_numbers_of_the_live_one(opened: Op
         assert page.evaluate("document.getElementById('review-summary').innerText").startswith("Frame 2 ·")
         place = "JSON.parse(window.__viserMutable.cameraControl.toJSON()).position"
         assert np.hypot(*np.subtract(page.evaluate(place), live.evaluate(place))[[0, 2]]) < 0.1
+
+
+PANELS = """[...document.querySelectorAll('#review,#review-side')].map(e=>{
+const r=e.getBoundingClientRect();return[r.left,r.top,r.right,r.bottom]})"""
+READABLE = "[...document.querySelectorAll('[data-count=missed]')].filter(e=>e.checkVisibility()).map(e=>e.innerText)"
+
+
+@pytest.mark.parametrize("width", [1100, 700, 400])
+def test_legend_and_card_of_a_page_lie_apart_and_leave_a_narrow_one_to_the_scene(
+    model: ReviewModel, tmp_path: Path, width: int
+) -> None:
+    out = write_page(model, LINK, tmp_path / "page.html", 2, ReviewState())
+    with open_page(f"{out.as_uri()}?fixedDpr=1", (width, 700)) as page:
+        page.wait_for(f"{READABLE}.length", PATIENCE_S)
+        covered = sum((right - left) * (bottom - top) for left, top, right, bottom in page.evaluate(PANELS))
+        assert covered < 0.2 * 700 * width or width >= ROOMY_PX
+        folded = page.evaluate(READABLE)
+        page.evaluate("document.querySelectorAll('#review,#review-side').forEach(e=>{e.open=true})")
+        legend, card = page.evaluate(PANELS)
+        assert legend[2] <= card[0] or legend[3] <= card[1]
+        assert min(*legend, *card) >= 0 and max(legend[2], card[2]) <= width and max(legend[3], card[3]) <= 700
+        assert page.evaluate(READABLE) == folded != []
+        assert card[3] - card[1] > 100
 
 
 def panels_of(image: np.ndarray) -> tuple[int, int, int]:
