@@ -2,8 +2,8 @@
 
 viser leaves its panels out of exported pages, so these are plain HTML. They say what is drawn, not what the player's
 slider stands at: each frame moves a node of the scene to its number, and they read it there. Where a later viser has no
-such place, the counts of the first frame stay. Legend and card fold, lie beside each other or, where that is too narrow,
-below each other.
+such place, the counts of the first frame stay. Legend and card fold and lie beside each other, or below each other where
+that is too narrow.
 """
 
 import json
@@ -110,8 +110,8 @@ def overlay(texts: list[dict[str, str]], title: str, cameras: list[CameraButton]
     """HTML of the overlay with the texts of the first frame.
 
     Args:
-        texts: HTML of every frame by its place: on the left `subtitle`, `summary` and, where that is folded, `counts`; on
-            the right `card` and `plots`.
+        texts: HTML of every frame by its place: on the left `subtitle`, `summary` and, for its folded state,
+            `counts`; on the right `card` and `plots`.
         gallery: HTML of the pictures of the errors, "" for none.
     """
 
