@@ -79,17 +79,13 @@ window.reviewPicture=async(url,html)=>{
  const load=async src=>{const image=new Image();image.src=src;await image.decode();return image;};
  const scene=await load(url),{width,height}=scene;
  const {body}=new DOMParser().parseFromString('<body style="margin:0;position:relative;height:100%">'+html,'text/html');
- // Nobody folds in a picture.
- const panels=body.querySelector('#review-panels'),side=body.querySelector('#review-side');
- panels.className='still';panels.style.flexDirection='row';
- if(side){
-  // Nobody scrolls in a picture: what is too tall for it is drawn smaller.
-  Object.assign(side.style,{maxHeight:'none',overflow:'hidden'});
-  const host=document.createElement('div');
-  host.style.cssText=`position:absolute;visibility:hidden;left:0;top:0;width:${width}px;height:${height}px`;
-  host.innerHTML=body.innerHTML;document.body.append(host);
-  side.style.zoom=Math.min((height-28)/host.querySelector('#review-side').offsetHeight,1);
-  host.remove();}
+ // Nobody folds or scrolls in a picture: what is too tall for it is drawn smaller.
+ const panels=body.querySelector('#review-panels'),host=document.createElement('div');
+ panels.className='still';
+ host.style.cssText=`position:absolute;visibility:hidden;left:0;top:0;width:${width}px;height:${height}px`;
+ host.innerHTML=body.innerHTML;document.body.append(host);
+ panels.style.zoom=Math.min((height-28)/host.querySelector('#review-panels').offsetHeight,1);
+ host.remove();
  const svg=`<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}">`
   +'<foreignObject width="100%" height="100%">'+new XMLSerializer().serializeToString(body)+'</foreignObject></svg>';
  const canvas=Object.assign(document.createElement('canvas'),{width,height}),drawn=canvas.getContext('2d');

@@ -2,8 +2,8 @@
 
 viser leaves its panels out of exported pages, so these are plain HTML. They say what is drawn, not what the player's
 slider stands at: each frame moves a node of the scene to its number, and they read it there. Where a later viser has no
-such place, the counts of the first frame stay. Legend and card fold and lie beside each other, or below each other where
-that is too narrow.
+such place, the counts of the first frame stay. Legend and card fold, and lie beside or, where that is too narrow, below
+each other.
 """
 
 import json
@@ -43,6 +43,8 @@ _CSS = """
 #review[open]>summary::before,#review-side[open]>summary::after{content:"\\25b4"}
 #review-side[open]>summary{float:right;font-size:0}
 #review[open] #review-counts,.still>*>summary::before,.still>#review-side>summary{display:none}
+#review-panels.still{bottom:auto}
+#review-panels.still>*{max-height:none;overflow:hidden}
 #review-side p{margin:0 0 .5em!important;font-size:13px!important}
 #review table,#review-side table{margin:0!important;font-size:12px!important}
 #review-side svg{cursor:default!important;margin-top:6px}
