@@ -198,7 +198,26 @@ def make_sample(
     )
 
 
-def participants(frame: Frame, ego_id: int | None, request: SampleRequest) -> list[int]:
+class TeamRules(Protocol):
+    """Who takes part, see `SampleRequest`."""
+
+    @property
+    def comm_range_m(self) -> float:
+        """Communication range of the ego, m."""
+        ...
+
+    @property
+    def max_agents(self) -> int:
+        """Limit on the agents, the ego included."""
+        ...
+
+    @property
+    def team_by(self) -> TeamBy:
+        """Order of the rules of range and number."""
+        ...
+
+
+def participants(frame: Frame, ego_id: int | None, request: TeamRules) -> list[int]:
     """Return rows of `frame.agents`: the ego, then the others that take part.
 
     Raises:

@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from dsrc.data.sample import COMM_RANGE_M, TeamBy
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, read_table_file
 from dsrc.faults.condition import condition_of
 from sensors.corruptions import EVERYONE, Condition, Family
@@ -52,7 +53,8 @@ class StoredRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         swept: other swept quantities and their values, as `2 agents`; "" for none.
         detector: SHA-256 of the detector, see `dsrc.detectors.open.detector_sha256`.
         range_m: range of the detector's grid, in which boxes are evaluated, m.
-        agents: most agents that take part.
+        agents: most agents that take part, of those of the next three.
+        comm_range_m, max_agents, team_by: who takes part, see `SampleRequest`.
         cells: keys of the cells of each drive, in the order of `StoredIndex.drives`; none for another dataset's.
     """
 
@@ -67,6 +69,9 @@ class StoredRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     detector: str
     range_m: _Range
     agents: int
+    comm_range_m: float = COMM_RANGE_M
+    max_agents: int = 5
+    team_by: TeamBy = "range"
     cells: tuple[tuple[_Key, ...], ...]
 
     @property

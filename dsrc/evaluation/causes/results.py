@@ -21,18 +21,14 @@ from dsrc.evaluation.listener import lies_in, misplaced
 from dsrc.evaluation.runner import CaseResult, TrainedDetector
 from dsrc.evaluation.stress import IOU, SURE
 from dsrc.faults.condition import faults_of
-from dsrc.faults.fault import Fault
-from dsrc.faults.kinds import Bias
 from dsrc.models.channel import Receiver
 from dsrc.tables.files import Scalar, csv_text
 from dsrc.tables.table import Column, Table, TableRow
-from sensors.corruptions import CORRUPTIONS, drive_seed
+from sensors.corruptions import CLEAN, drive_seed
 from sim.files import write_file
 from sim.radio import IDEAL, Radio
 
 FILE = "causes.csv"
-_POSES = "pose_error"
-"""Corruption of poses alone."""
 _AT_ONCE = Radio.parse(IDEAL).spec().decisive()
 _COLUMNS = (
     *("method", "condition", "drive", "frame", "position", "error", "kind", "object_id", "rank", "score", "iou"),
@@ -72,7 +68,6 @@ def write_causes(
             asked = request, int(table.ego_id[0])
             if asked not in teams:
                 teams[asked] = tuple(frame.agents[one].agent_id for one in participants(frame, asked[1], request))
-            changed = condition.kind in CORRUPTIONS or any(_moves(fault) for fault in faults_of(condition))
             team = teams[asked][:alone]
             if (path, number) not in receivers:
                 receivers[path, number] = _receiver(drive, team, entry.case, trained.settings, seed)
@@ -81,8 +76,8 @@ def write_causes(
             own_seed = drive_seed(seed, drive.drive.name)
             ages = {link.sender: link.age_s if link.received else None for link in links}
             known = Circumstances(
-                "" if condition.kind == "clean" else condition.label,
-                misplaced(condition.apply(frame, own_seed), condition, own_seed) if changed else None,
+                "" if condition.kind == CLEAN else condition.label,
+                None if condition.kind == CLEAN else misplaced(condition.apply(frame, own_seed), condition, own_seed),
                 team,
                 request.judged_m,
                 ages,
@@ -111,10 +106,6 @@ def _receiver(drive: Drive, team: Sequence[int], case: Case, settings: DetectorS
 
 def _text(number: int | None) -> str:
     return "-" if number is None else str(number)  # -1 is a roadside unit
-
-
-def _moves(fault: Fault) -> bool:
-    return fault.kind == _POSES or fault.what.place == "localisation" or isinstance(fault.settings, Bias)
 
 
 def cause_tables(out: Path) -> list[Table]:

@@ -109,7 +109,8 @@ def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, Tr
         cells: list[list[str]] = [[] for _ in places]
         for key, path in zip(entry.cells, entry.drives, strict=True):
             cells[places.index((case.dataset, path))].append(key)
-        limits = [one.settings.request.max_agents, one.agents, case.agents]
+        request = one.settings.request
+        limits = [request.max_agents, one.agents, case.agents]
         run = StoredRun(
             method=case.method,
             training=case.training,
@@ -120,8 +121,11 @@ def stored_index(result: BenchmarkResult, entries: Sequence[tuple[CaseResult, Tr
             channel=case.channel,
             swept=", ".join(f"{name} {getattr(case, name):g}" for name in _SWEPT[1:] if getattr(case, name)),
             detector=one.sha256,
-            range_m=one.settings.request.judged_m,
+            range_m=request.judged_m,
             agents=min(limit for limit in limits if limit is not None),
+            comm_range_m=request.comm_range_m,
+            max_agents=request.max_agents,
+            team_by=request.team_by,
             cells=tuple(map(tuple, cells)),
         )
         runs.append(run)

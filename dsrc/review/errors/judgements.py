@@ -74,21 +74,25 @@ class Judgements(Recordings):
         table = self._table(own, state, setup)
         if table is None or not clean.points_on.any():
             return []
-        run = getattr(own, "runs", {}).get(setup.condition)
-        alone = not setup.cooperative if not own.recorded else run is not None and run.agents == 1
         source, ego_id, corrupted = self.sources[state.drive], int(table.ego_id[0]), self.frame(state)
+        team, range_m = own.team(clean, ego_id, setup)
         told: dict[int, Lie] = {}
-        if isinstance(source, DriveSource) and not alone and any(one.attack for one in faults_of(setup.condition)):
+        if (
+            isinstance(source, DriveSource)
+            and team != (ego_id,)
+            and any(one.attack for one in faults_of(setup.condition))
+        ):
             from dsrc.evaluation.listener import lies_in, misplaced  # torch comes with it: not before it is needed
 
             # In an episode a liar knows the ego's route, and its ghost waits: no frame tells where.
-            seed, others = drive_seed(source.seed, source.name), [one.agent_id for one in clean.agents]
+            seed, others = drive_seed(source.seed, source.name), team or [one.agent_id for one in clean.agents]
             told = lies_in(clean, setup.condition, seed, [one for one in others if one != ego_id], {})
             corrupted = misplaced(corrupted, setup.condition, seed)
         known = Circumstances(
             condition=setup.condition.label if setup.condition.kind != CLEAN else "",
             corrupted=corrupted,
-            team=(ego_id,) if alone else None,
+            team=team,
+            range_m=range_m,
             lies=told,
         )
         return frame_causes(table, clean, state.threshold, state.iou, known)

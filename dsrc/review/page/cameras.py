@@ -165,7 +165,9 @@ class BrowserCamera:
 
     def fly_to(self, target: NDArray[np.float64]) -> bool:
         """Place it with the next frame near a point (3,) of the review frame, m; False before its pose is known."""
-        pose = self.pose
+        given = self._given
+        # A browser that was placed and has not said so yet still reports where it was before.
+        pose = self.pose if given is None else given[0]
         if pose is None:
             return False
         with self._lock:

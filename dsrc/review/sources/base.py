@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive
+from dsrc.data.sample import Range
 from dsrc.evaluation.detection_table import DetectionTable, join_tables
 from sensors.corruptions import Condition
 from sensors.frame import Frame
@@ -65,6 +66,10 @@ class MemorySet:
         with self._lock:
             self._tables.setdefault(self._own(setup or Setup()), {})[row] = table
             self._changes += 1
+
+    def team(self, frame: Frame, ego_id: int, setup: Setup) -> tuple[tuple[int, ...] | None, Range | None]:
+        """Return the agents that take part, the ego first, and the range that is judged, m; None where unknown."""
+        return (None if self.recorded or setup.cooperative else (ego_id,)), None
 
     def forget(self, before: int) -> None:
         """Drop the detections of all frames before a row."""

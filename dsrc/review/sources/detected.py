@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from dsrc.data.sample import SampleDetector, counted, make_sample
+from dsrc.data.sample import Range, SampleDetector, counted, make_sample, participants
 from dsrc.evaluation.detection_table import DetectionTable, one_frame, points_left, points_table
 from dsrc.review.sources.base import MemorySet, Setup
 from sensors.corruptions import Condition, drive_seed
@@ -22,6 +22,12 @@ class ComputedSet(MemorySet):
         super().__init__(name, recorded=False)
         self.detector = detector
         self._detecting = threading.Lock()
+
+    def team(self, frame: Frame, ego_id: int, setup: Setup) -> tuple[tuple[int, ...], Range]:
+        """Return the agents that take part, the ego first, and the range that is judged, m."""
+        request = self.detector.settings.request
+        team = tuple(frame.agents[row].agent_id for row in participants(frame, ego_id, request))
+        return (team if setup.cooperative else team[:1]), request.judged_m
 
     def compute(self, row: int, clean: Frame, corrupted: Frame, setup: Setup) -> DetectionTable:
         """Detect in a frame and keep the detections; those that are known are returned.

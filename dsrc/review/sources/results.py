@@ -6,12 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from dsrc.data.drives import Drive, list_drives, open_drive
+from dsrc.data.sample import Range, participants
 from dsrc.evaluation.detection_table import DetectionTable
 from dsrc.evaluation.sharing.stored import FILE as SHARES
 from dsrc.evaluation.sharing.stored import SharedFrame, StoredShares, read_shares
 from dsrc.evaluation.stored import FILE, StoredDrive, StoredRun, read_index, read_run, run_names
 from dsrc.review.sources.base import DriveSource, MemorySet, Setup
 from sensors.corruptions import Condition
+from sensors.frame import Frame
 from sim.errors import DataError, complaint
 
 
@@ -36,6 +38,14 @@ class StoredSet(MemorySet):
     def conditions(self) -> tuple[Condition, ...]:
         """Conditions with detections."""
         return tuple(self.runs)
+
+    def team(self, frame: Frame, ego_id: int, setup: Setup) -> tuple[tuple[int, ...] | None, Range | None]:
+        """Return the agents that took part, the ego first, and the range that was judged, m."""
+        run = self.runs.get(setup.condition)
+        if run is None:
+            return super().team(frame, ego_id, setup)
+        team = tuple(frame.agents[row].agent_id for row in participants(frame, ego_id, run))
+        return team[: run.agents], run.range_m
 
     def _known(self, setup: Setup) -> dict[int, DetectionTable]:
         own = self._own(setup)

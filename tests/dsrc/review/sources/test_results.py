@@ -1,10 +1,12 @@
 """Results of an evaluation open as drives with the detections of all methods, and say what is wrong with them."""
 
+import csv
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -27,6 +29,7 @@ from sim.errors import CheckpointError, DataError, SettingsError
 from tests.dsrc.evaluation.small import write_detector, write_drives
 
 FOG = Setup(Condition("fog", 3))
+_WHERE = ("method", "condition", "drive", "position")
 BLOCKED = Setup(frame_condition("blocked:120 on ego", "evaluate"))
 
 
@@ -194,3 +197,30 @@ def test_a_damaged_cell_and_frames_of_another_drive_name_their_file(done: tuple[
 def test_conditions_have_titles() -> None:
     titles = [c.label for c in (Condition(), FOG.condition, Condition("beam_missing", 5, "paper", "ego"))]
     assert titles == ["clean", "fog 3", "beam missing 5 (paper), ego"]
+
+
+def test_the_page_says_of_every_error_what_its_table_of_causes_says(done: tuple[Path, list]) -> None:
+    root, _ = done
+    model = ReviewModel(open_sources(root / "out"))
+    with (root / "out/causes.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    assert rows
+    for name, condition, drive, position in sorted({tuple(row[key] for key in _WHERE) for row in rows}):
+        kind, _, severity = condition.partition(" ")
+        fog = {"corruption": "fog", "severity": int(severity)} if kind == "fog" else {"corruption": condition}
+        number = [source.name for source in model.sources].index(drive)
+        state = ReviewState(drive=number, frame=int(position), methods=(name,), threshold=0.3, **fog)
+        told = {(one.error, one.object_id, one.rank): one.sentence for one in model.causes(state)}
+        here = [row for row in rows if tuple(row[key] for key in _WHERE) == (name, condition, drive, position)]
+        numbers = [tuple(int(row[key]) if row[key] else None for key in ("object_id", "rank")) for row in here]
+        assert told == {(row["error"], *own): row["sentence"] for row, own in zip(here, numbers, strict=True)}
+
+
+def test_who_is_out_of_reach_or_beyond_the_number_of_agents_takes_no_part(done: tuple[Path, list]) -> None:
+    source = open_sources(done[0] / "out")[0]
+    stored, frame = source.sets["A"], source.read(0)
+    ego, *others = (agent.agent_id for agent in frame.agents)
+    run = stored.runs[Condition()]
+    for changes, team in (({}, (ego, *others)), ({"comm_range_m": 0.1}, (ego,)), ({"agents": 1}, (ego,))):
+        stored.runs[Condition()] = msgspec.structs.replace(run, **changes)
+        assert stored.team(frame, ego, Setup()) == (team, run.range_m)
