@@ -1,5 +1,6 @@
 """Command `dsrc view`: review drives in the browser or in one HTML page."""
 
+import os
 import sys
 
 import msgspec
@@ -53,7 +54,11 @@ class View(ServeOptions, frozen=True, kw_only=True):
             return
         from dsrc.review.page.app import serve
 
-        serve(self, announce=_announce)
+        app = serve(self, announce=_announce)
+        if app.busy:
+            # A detector in a thread would end the process with an abort. Files are whole: each is renamed at once.
+            sys.stdout.flush()
+            os._exit(0)
         raise SystemExit(0)  # an interrupt is how it ends
 
     def _check(self) -> None:

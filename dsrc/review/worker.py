@@ -134,14 +134,18 @@ class Worker:
             self._changed.wait_for(lambda: job.ended, timeout_s)
         return job
 
-    def close(self) -> None:
-        """End after the frame that the worker is at; jobs that wait or run are cancelled."""
+    def close(self, patience_s: float = 60.0) -> bool:
+        """End after the frame that the worker is at, whose end is waited for; return whether it came in this time.
+
+        Jobs that wait or run are cancelled.
+        """
         with self._changed:
             self._closed = True
             for job in list(self._jobs):
                 self._end(job, "cancelled")
             self._changed.notify_all()
-        self._thread.join(timeout=60.0)
+        self._thread.join(timeout=patience_s)
+        return not self._thread.is_alive()
 
     def _work(self) -> None:
         while (work := self._next()) is not None:

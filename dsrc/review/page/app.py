@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+INTERRUPTED_S = 1.0
+"""Time that an interrupted page waits for a detection, s."""
 PICTURE_S = 10.0
 """Longest time for which opening a detector waits for a browser and its first picture, s."""
 
@@ -52,6 +54,7 @@ class ReviewApp:
         sessions: running sessions by the id of their browser.
         worker: detects over whole runs in the background.
         url: address of the page.
+        busy: whether something still ran when an interrupt had closed it.
         pictured: cleared where a detector is to be opened after the first picture of a browser, set by that.
     """
 
@@ -64,7 +67,7 @@ class ReviewApp:
         self.pictured.set()
         self._using_model = threading.Lock()
         self._changed = threading.Condition()
-        self._closed = False
+        self._closed = self.busy = False
         self._pairs: dict[str, CellPair] = {}
         set_light(server.scene)
         server.on_client_connect(self._open)
@@ -90,16 +93,16 @@ class ReviewApp:
             while not self._closed:
                 self._changed.wait(1.0)
 
-    def close(self) -> None:
-        """Stop the sessions and the server."""
+    def close(self, patience_s: float = 60.0) -> bool:
+        """Stop the sessions and the server; return whether all have stopped, each in this time."""
         with self._changed:
             self._closed = True
             sessions, self.sessions = list(self.sessions.values()), {}
             self._changed.notify_all()
-        for session in sessions:
-            session.close()
-        self.worker.close()
+        stopped = [session.close(min(patience_s, 10.0)) for session in sessions]
+        stopped.append(self.worker.close(patience_s))
         stop_server(self.server)
+        return all(stopped)
 
     def _open(self, client: viser.ClientHandle) -> None:
         link = link_of(self.server, client.client_id)
@@ -273,15 +276,14 @@ def serve(options: ServeOptions, block: bool = True, announce: Callable[[str], N
         load_bodies()
         app.pictured.wait(PICTURE_S)
         open_late(model.sources)
-    except UserError:
+        if block:
+            app.wait()
+    except KeyboardInterrupt:
+        app.busy = not app.close(INTERRUPTED_S)
+        if not block:
+            raise
+        log.info("review page closed")
+    except BaseException:
         app.close()
         raise
-    if not block:
-        return app
-    try:
-        app.wait()
-    except KeyboardInterrupt:
-        log.info("review page closed")
-    finally:
-        app.close()
     return app

@@ -138,14 +138,15 @@ class Session(Page):
             raise TimeoutError("the page was closed before it was drawn")
         return self.view
 
-    def close(self) -> None:
-        """Stop drawing, and what panels do in the background."""
+    def close(self, patience_s: float = 10.0) -> bool:
+        """Stop drawing, and what panels do in the background; return whether it has stopped in this time."""
         for run in self._on_close:
             run()
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        self._thread.join(timeout=10.0)
+        self._thread.join(timeout=patience_s)
+        return not self._thread.is_alive()
 
     def _let_go(self, why: str) -> None:
         """Tell that what is selected does not exist, and select nothing."""
