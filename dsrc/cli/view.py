@@ -73,6 +73,8 @@ class View(ServeOptions, frozen=True, kw_only=True):
             path: File | None = getattr(self, name)
             if path is not None and path.suffix.lower() != ending:
                 raise SettingsError(complaint("view", name, f"a file that ends with {ending}", str(path)))
+        if not 1 <= self.severity <= 5:
+            raise SettingsError(complaint("view", "severity", "1 to 5", self.severity))
         self._refuse(self._unused())
 
     def _unused(self) -> dict[str, str]:

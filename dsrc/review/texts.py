@@ -43,7 +43,7 @@ def _frame_report(view: FrameView) -> str:
         evaluated, every = len(view.truth) - len(view.layers[OTHER_TRUTH]), len(view.truth)
         return paragraphs(head, f"{evaluated} vehicles in sight of an agent, {every} road users in all. No detector.")
     rows = [("this frame", view.counts)]
-    rows += [(f"{view.seen_frames} seen", view.seen)] if view.seen_frames > 1 else []
+    rows += [(f"{view.seen_frames} frames", view.seen)] if view.seen_frames > 1 else []
     cells = [(name, *_counted(c), _share(c.precision), _share(c.recall)) for name, c in rows]
     return paragraphs(head) + html_table(("", "true", "false", "missed", "prec.", "recall"), cells)
 

@@ -267,7 +267,7 @@ class _Judged:
         own, amid = np.unique(cells[objects == self.truth.object_id[row]]), np.unique(cells[made])
         if len(amid) and (share := float(np.isin(own, amid).mean())) >= 0.5:
             count, by = int(np.count_nonzero(made)), self.known.condition or "the corruption"
-            why = f"no box; {count} points made by {by} lie over it, in {share:.0%} of the cells with its own"
+            why = f"no box; {count} points made by {by} lie over it, in {100 * share:.0f} % of the cells with its own"
             return "amid made points", why, None, None
         whole = self.left[row] >= before
         return "no box", "no box overlaps it" + (f", with {before} points on it" if whole else ""), None, None
@@ -311,7 +311,7 @@ class _Judged:
         if count and max(count / inside, alone / area) >= 0.5:
             why = f"{count} of the {inside} points over it were made by {self.known.condition or 'the corruption'}"
             if 2 * count < inside:
-                why += f", which alone fill {alone / area:.0%} of their area"
+                why += f", which alone fill {100 * alone / area:.0f} % of their area"
             return "made by the corruption", why, None, None, None
         users, points = np.unique(objects[np.isin(objects, self.all.object_id)], return_counts=True)
         if 2 * points.max(initial=0) >= max(inside, 1):

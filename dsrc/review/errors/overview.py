@@ -57,7 +57,8 @@ class _Judged:
     ap: float
     missed: int
     false: int
-    frames: int
+    frames: dict[int, int]
+    """Frames with detections, by drive."""
     worst: dict[str, Cell]
     opens: ReviewState
 
@@ -111,7 +112,7 @@ def _judged(model: Judgements, state: ReviewState) -> Iterator[_Judged | str]:
         except UserError as error:
             yield str(error)
             continue
-        if cell.frames:
+        if any(cell.frames.values()):
             yield cell
 
 
@@ -121,7 +122,8 @@ def _cell(model: Judgements, state: ReviewState, method: str, condition: Conditi
         corrupted_agents=condition.agents_text, parameters=condition.settings, methods=(method,), object_id=None,
         detection=None, listed="all", versus="", error_method="", camera="free",
     )  # fmt: skip
-    hits, scores, truths, counts, frames = [np.zeros(0, bool)], [np.zeros(0, np.float32)], 0, Counter[int](), 0
+    hits, scores, truths, counts = [np.zeros(0, bool)], [np.zeros(0, np.float32)], 0, Counter[int]()
+    frames: dict[int, int] = {}
     worst: dict[str, Cell] = {}
     loss: dict[str, float] = {}
     for drive, source in enumerate(model.sources):
@@ -130,7 +132,7 @@ def _cell(model: Judgements, state: ReviewState, method: str, condition: Conditi
         at = replace(here, drive=drive, ego_id=state.ego_id if drive == state.drive else None)
         run = model.run(drive, method, model.setup(at))
         hit, score, truth = run.ranked(state.iou)
-        hits, scores, truths, frames = [*hits, hit], [*scores, score], truths + truth, frames + len(run.table)
+        hits, scores, truths, frames[drive] = [*hits, hit], [*scores, score], truths + truth, len(run.table)
         errors = ErrorIndex([run]).errors(state.threshold, state.iou)
         for kind in (FN, FP):
             rows = np.flatnonzero(errors.kind == kind)
@@ -149,25 +151,34 @@ def _table(done: list[_Judged], state: ReviewState, frames: int, run: str, whole
     """Table of what is judged, by what was lost against the same method on clean sweeps, else against the first."""
     several = len({one.method for one in done}) > 1
     clean = {one.method: one for one in done if one.condition.kind == CLEAN}
-    baseline, most = next(iter(done), None), max((one.frames for one in done), default=0)
+    conditions = {one.condition for one in done}
+    most = Counter[int]()
+    for one in done:
+        most |= Counter(one.frames)
+    judged = most.total()
 
     def lost(one: _Judged) -> float:
         """Average precision lost; NaN for what others are measured by."""
-        before = clean.get(one.method) if one.condition.kind != CLEAN else baseline
+        # Of other drives a number says nothing about this one.
+        alike = (other for other in done if other.frames.keys() == one.frames.keys())
+        before = clean.get(one.method) if one.condition.kind != CLEAN else next(alike)
         return math.nan if before is None or before is one else before.ap - one.ap
 
     order = sorted(done, key=lambda one: -math.inf if math.isnan(lost(one)) else lost(one), reverse=True)
     rows: list[tuple[Cell, ...]] = []
     for one in order:
-        part = "" if one.frames == most else f", {one.frames} of {most} frames"
-        name = f"{one.condition.label}{f' · {one.method}' if several else ''}{part}"
+        own, whole_drives = sum(one.frames.values()), sum(most[drive] for drive in one.frames)
+        part = "" if own == whole_drives else f", {own} of {whole_drives} frames"
+        # Where there is one condition, its name says nothing.
+        words = [one.condition.label] if len(conditions) > 1 or not several else []
+        name = " · ".join([*words, *([one.method] if several else [])]) + part
         row = [Cell(name, one.worst["any"].opens or one.opens)]
         row.append(Cell("–" if math.isnan(one.ap) else f"{100 * one.ap:.0f}"))
         row.append(Cell("" if math.isnan(lost(one)) else f"{100 * lost(one):.0f}"))
         for kind, count in (("missed", one.missed), ("false", one.false)):
             row.append(one.worst.get(kind, Cell(""))._replace(text=str(count)))
         rows.append((*row, *([] if several else [one.worst["any"]])))
-    run = run if most in (0, frames) else f"{run}, {most} of them judged"
+    run = run if judged in (0, frames) else f"{run}, {judged} of them judged"
     says = [
         f"{run}. Score ≥ {state.threshold:g}, IoU ≥ {state.iou:g}. A name or a number opens the worst of its errors."
     ]

@@ -51,5 +51,5 @@ def open_boxes(path: Path, note: str = "") -> list[Source]:
     sets = read_detections(path, corruption=EVERY)
     keys = sorted({key for one in sets for key in one.frames}, key=lambda key: (key.drive, key.frame, key.ego_id or 0))
     drives = dict.fromkeys(key.drive for key in keys)
-    note = note or "These are detections without clouds: name their drive to see both."
+    note = note or "Detections without clouds; a folder of dsrc evaluate has both."
     return [_source(drive or path.stem, [key for key in keys if key.drive == drive], sets, note) for drive in drives]

@@ -281,7 +281,7 @@ def test_flakes_all_over_a_box_made_it_though_a_pole_in_it_has_more_points() -> 
         assert cause.kind == kind
         if kind == "made by the corruption":
             assert cause.sentence == (
-                "score 0.50: 40 of the 540 points over it were made by snow 5, which alone fill 98% of their area"
+                "score 0.50: 40 of the 540 points over it were made by snow 5, which alone fill 98 % of their area"
             )
 
 
@@ -302,7 +302,7 @@ def test_an_object_is_amid_flakes_where_they_share_half_of_the_cells_of_its_poin
         cause = the_one(seen, [TRUCK_BOX, HIDDEN_BOX], Circumstances("snow 5", snowed))
         assert (cause.kind, cause.object_id) == (kind, OPEN)
         if kind == "amid made points":
-            assert cause.sentence == "no box; 2 points made by snow 5 lie over it, in 50% of the cells with its own"
+            assert cause.sentence == "no box; 2 points made by snow 5 lie over it, in 50 % of the cells with its own"
 
 
 def test_echoes_above_a_low_box_made_it_as_columns_are_what_a_detector_sees() -> None:

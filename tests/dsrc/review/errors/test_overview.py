@@ -63,7 +63,17 @@ def test_without_corruptions_methods_are_measured_by_the_first() -> None:
         assert isinstance(own, MemorySet)
         own._tables = {setup: frames for setup, frames in own._tables.items() if setup.condition.kind == "clean"}
     found = overview(model)
-    assert [row[0].text for row in found.rows] == ["clean · late", "clean · DSRC"] and int(column(found, "lost")[0]) > 0
+    assert [row[0].text for row in found.rows] == ["late", "DSRC"] and int(column(found, "lost")[0]) > 0
+
+
+def test_methods_of_other_drives_are_not_measured_by_each_other() -> None:
+    model = judged({"DSRC": 1.0, "late": 0.5}, drives=2)
+    del model.sources[0].sets["late"], model.sources[1].sets["DSRC"]
+    found = overview(model)
+    lost = {row[0].text: row[found.head.index("lost")].text for row in found.rows}
+    assert lost["clean · DSRC"] == lost["clean · late"] == ""
+    assert all(lost[f"{kind} · {method}"] for kind in ("fog 3", "snow 3") for method in ("DSRC", "late"))
+    assert found.says[0].startswith("2 drives, 24 frames, 12 of them judged."), "6 frames of each drive"
 
 
 def test_counts_and_precision_are_those_of_the_errors_over_all_drives() -> None:

@@ -11,7 +11,7 @@ class GalleryPanel(Panel):
     """Folder with a switch and the pictures, hidden where nothing is judged."""
 
     title = "Errors by cause"
-    table = (Control("gallery", Switch(), "Draw the worst", link="gallery", shown=detects),)
+    table = (Control("gallery", Switch(), "Pictures", link="gallery", shown=detects),)
 
     def is_open(self) -> bool:
         """Whether pictures are asked for."""
