@@ -5,6 +5,7 @@ import os
 import re
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -89,6 +90,24 @@ def test_an_interrupt_ends_a_command_with_one_line(verb: str, delay_s: float, pl
     word = "terminated" if number == signal.SIGTERM else "interrupted"
     again = "starts anew" if verb in ANEW else "resumes"
     assert said.splitlines()[-1] == f"dsrc: {word}; the same command again {again}", said
+
+
+def test_a_terminated_page_ends_though_a_browser_holds_a_connection_that_asks_nothing(place: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dsrc", "view", "data"],
+        cwd=place,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert process.stdout is not None
+    host, port = re.search(r"http://([\d.]+):(\d+)", process.stdout.readline()).groups()
+    with socket.create_connection((host, int(port))):
+        time.sleep(0.5)
+        process.terminate()
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 0 and "Traceback" not in said, said
 
 
 def test_an_interrupt_waits_for_an_import_that_would_swallow_it(
