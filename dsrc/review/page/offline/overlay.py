@@ -44,7 +44,7 @@ _CSS = """
 #review-side[open]>summary{float:right;font-size:0}
 #review[open] #review-counts,.still>*>summary::before,.still>#review-side>summary{display:none}
 #review-panels.still{bottom:auto}
-#review-panels.still>*{max-height:none;overflow:hidden}
+#review-panels.still>*{max-height:none;max-width:330px;overflow:hidden}
 #review-side p{margin:0 0 .5em!important;font-size:13px!important}
 #review table,#review-side table{margin:0!important;font-size:12px!important}
 #review-side svg{cursor:default!important;margin-top:6px}
