@@ -13,7 +13,7 @@ from dsrc.review.points import lost_rows, point_colors, subsample
 from dsrc.review.state import ReviewState
 from dsrc.review.view import AgentShare, AgentView, DetectionDetails, HelpView, ObjectDetails
 from sensors.frame import Frame
-from sensors.sweep import Sweep
+from sensors.sweep import SCATTERED, Sweep
 from sim.boxes import Boxes
 from sim.geometry import invert, transform_points
 
@@ -40,7 +40,11 @@ def agent_view(
     agent = frame.agents[row]
     visible = agent.agent_id not in state.hidden
     rows = subsample(agent.sweep, state.max_points if visible else 0)
-    drawn = None if len(rows) == len(agent.sweep) else rows
+    made = 0
+    if state.color_by in ("verdict", "agent") and agent.sweep.fate.any():
+        of_corruption = agent.sweep.fate.take(rows) == SCATTERED
+        rows, made = rows[np.argsort(of_corruption, kind="stable")], int(of_corruption.sum())
+    drawn = None if len(rows) == len(agent.sweep) and made == 0 else rows
     body_from_lidar = invert(agent.world_from_body) @ agent.sweep.world_from_lidar
     lost_points = np.zeros((0, 3), np.float32)
     if recorded is not None and visible and agent.sweep is not recorded.agents[row].sweep:
@@ -62,6 +66,7 @@ def agent_view(
         speed=agent.speed,
         lost=agent.sweep.lost,
         fates=tuple(map(int, fates)),
+        made=made,
         lost_points=lost_points,
     )
 

@@ -36,6 +36,7 @@ class AgentView:
         review_from_body: (4, 4) float64 pose of the carrier.
         points: (P, 3) float32 in the sensor frame, m.
         colors: (P, 3) uint8.
+        made: number of the last of them, made by a corruption and drawn thin; 0 where colour is of the points.
         total: points of the sweep before thinning.
         speed: of the carrier, m/s.
         lost: points lost to a corruption.
@@ -56,6 +57,7 @@ class AgentView:
     speed: float = 0.0
     lost: int = 0
     fates: tuple[int, ...] = (0, 0, 0, 0)
+    made: int = 0
     lost_points: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
     @property

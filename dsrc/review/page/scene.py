@@ -49,7 +49,7 @@ STYLES = {
     TRUE_POSITIVES: BoxStyle(palette.TP, 2.5, "solid", 0.16),
     FALSE_POSITIVES: BoxStyle(palette.FP, 4.0, "crossed", 0.25),
     UNJUDGED: BoxStyle(None, 2.5, "solid", 0.16),
-    SELECTED: BoxStyle(None, 4.0),
+    SELECTED: BoxStyle(None, 6.0),
 }
 _FORMS = {"solid": shapes.edges, "dashed": shapes.dashed, "crossed": shapes.crossed, "roof": shapes.roof_crosses}
 _NO_LINES = np.zeros((0, 2, 3), np.float32)
@@ -57,11 +57,15 @@ _NO_LINES = np.zeros((0, 2, 3), np.float32)
 
 AROUND_M = 0.12
 """Width by which the boxes of each further method are drawn larger, m: they do not cover those of the others."""
+FRAME_M = 0.4
+"""Width by which the selected box is drawn larger, m: a frame around its verdict, on the same ground."""
 RINGS_M = (10, 25, 50, 75, 100)
 """Radii of the circles around the ego, m."""
 CUT_M = 1.0
 """Height above the start of the ego at which walls and plants are cut, m."""
 _CUT = ("buildings", "plants")
+THIN = 0.4
+"""Size of points that a corruption made, as a share of that of the others: snow would cover the boxes."""
 PLAN_M = 0.25
 """Height of the drawn plan and route above the road, m."""
 
@@ -198,7 +202,11 @@ class SceneWriter:
             if view.state.color_by != "verdict" and name != OTHER_TRUTH:
                 # Colour tells one thing at a time; their forms say which are right and which wrong.
                 style = replace(style, rgb=None)
-            self._write_boxes(name, view.layers[name], style, not off)
+            boxes = view.layers[name]
+            if name == SELECTED:
+                raised = boxes.center + np.array([0.0, 0.0, 0.5 * FRAME_M])
+                boxes = replace(boxes, center=raised, size=boxes.size + FRAME_M)
+            self._write_boxes(name, boxes, style, not off)
             if style.fill > 0.0:
                 self._make_clickable(f"{name}/faces", _boxes_clicked(view, name))
         for name in ("helped", "compared"):
@@ -249,45 +257,37 @@ class SceneWriter:
         self._frame(name)
         lidar = self._frame(f"{name}/lidar")
         place_frame(lidar, agent.review_from_lidar)
-        self._write_points(f"{name}/lidar/points", agent, view.state.point_size_m)
-        self._write_lost(f"{name}/lidar/lost", agent, view.state.point_size_m)
+        size_m, kept = view.state.point_size_m, len(agent.points) - agent.made
+        for part, points, colors, part_size_m in (
+            ("points", agent.points[:kept], agent.colors[:kept], size_m),
+            ("made", agent.points[kept:], agent.colors[kept:], THIN * size_m),
+            ("lost", agent.lost_points, np.array(palette.LOST, np.uint8), size_m),
+        ):
+            self._write_cloud(f"{name}/lidar/{part}", agent, points, colors, part_size_m)
         # The others have their colour and the legend; the name that is asked for is shown.
         asked = agent.is_ego or agent.agent_id == getattr(view.details, "object_id", None)
         shown = asked and "labels" not in view.state.layers_off
         place = agent.review_from_lidar[:3, 3] + [0.0, 0.0, 1.2]
         self._label(f"{name}/label", "EGO" if agent.is_ego else agent.title, place, shown, anchor="bottom-center")
 
-    def _write_points(self, name: str, agent: AgentView, point_size_m: float) -> None:
-        node = self._nodes.get(name)
-        if node is not None and self._drawn.get(name) is agent:
-            node.point_size = point_size_m
-            return
+    def _write_cloud(
+        self, name: str, agent: AgentView, points: NDArray[np.float32], colors: NDArray[np.uint8], point_size_m: float
+    ) -> None:
+        node, drawn = self._nodes.get(name), self._drawn.get(name) is agent
         self._drawn[name] = agent
-        points = agent.points
-        if self.point_step_m > 0.0:
-            points = np.round(points / self.point_step_m) * np.float32(self.point_step_m)
-        if node is None:
-            node = self._nodes[name] = self._cloud(name, points, agent.colors)
-        else:
-            _send(node, "points", points.astype(np.float16))
-            _send(node, "colors", agent.colors)
-        node.point_size = point_size_m
-        node.visible = agent.visible and len(points) > 0
-
-    def _write_lost(self, name: str, agent: AgentView, point_size_m: float) -> None:
-        if len(agent.lost_points) == 0:
+        if len(points) == 0:
             self._hide(name)
             return
-        if name not in self._nodes:
-            self._nodes[name] = self._cloud(name, agent.lost_points, np.array(palette.LOST, np.uint8))
-        node = self._nodes[name]
-        if self._drawn.get(name) is not agent:
-            node.points, self._drawn[name] = agent.lost_points, agent
+        if not drawn and self.point_step_m > 0.0:
+            points = np.round(points / self.point_step_m) * np.float32(self.point_step_m)
+        if node is None:
+            node = self._nodes[name] = self.scene.add_point_cloud(
+                f"{self.root}/{name}", points, colors, point_shape="circle", point_shading="flat"
+            )
+        elif not drawn:
+            _send(node, "points", points.astype(np.float16))
+            _send(node, "colors", colors)
         node.point_size, node.visible = point_size_m, True
-
-    def _cloud(self, name: str, points: NDArray[np.float32], colors: NDArray[np.uint8]) -> Any:
-        name = f"{self.root}/{name}"
-        return self.scene.add_point_cloud(name, points, colors, point_shape="circle", point_shading="flat")
 
     def _write_bodies(self, view: FrameView) -> None:
         self._frame("bodies").visible = "bodies" not in view.state.layers_off

@@ -23,12 +23,13 @@ from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.ops.detections import Detections
 from dsrc.review.model import ReviewModel
 from dsrc.review.page.app import ReviewApp, serve
-from dsrc.review.page.scene import SceneWriter
+from dsrc.review.page.scene import STYLES, SceneWriter
 from dsrc.review.page.server import address, start_server, stop_server
 from dsrc.review.palette import LOOKS
-from dsrc.review.state import SHOWN_LAYERS, ReviewState
-from dsrc.review.view import UNJUDGED
+from dsrc.review.state import SHOWN_LAYERS, ColorBy, ReviewState
+from dsrc.review.view import FALSE_NEGATIVES, SELECTED, UNJUDGED
 from sensors.frame import Frame
+from sensors.sweep import SCATTERED
 from sim.boxes import Boxes
 from sim.errors import DataError, SettingsError
 from tests.dsrc.review.conftest import FakeDetector, FakeDrive
@@ -72,6 +73,38 @@ def test_the_points_of_the_next_frame_replace_those_of_the_last(server: viser.Vi
     sent = {key: value for update in updates for key, value in update.items()}
     np.testing.assert_array_equal(sent["points"], view.agents[0].points.astype(np.float16), strict=True)
     np.testing.assert_array_equal(sent["colors"], view.agents[0].colors, strict=True)
+
+
+@pytest.mark.parametrize("color_by", ["verdict", "agent", "fate", "height"])
+def test_made_points_are_thin_where_colour_is_of_boxes_or_agents(
+    server: viser.ViserServer, model: ReviewModel, color_by: ColorBy
+) -> None:
+    writer, clouds = SceneWriter(server.scene), "/agents/ego_vehicle_1000/lidar"
+    view = model.view(ReviewState(corruption="snow", color_by=color_by))
+    writer.write(view)
+    points, made = (node(server, f"{clouds}/{name}") for name in ("points", "made"))
+    total, snow = view.agents[0].total, view.agents[0].fates[SCATTERED]
+    if color_by in ("verdict", "agent"):
+        assert len(points.points) == total - snow and len(made.points) == snow > 0
+        assert made.visible and made.point_size < 0.5 * points.point_size
+        writer.write(model.view(ReviewState(corruption="snow", color_by="fate")))
+        assert not made.visible
+    else:
+        assert made is None and len(points.points) == total
+
+
+def test_the_selected_box_is_a_frame_around_its_verdict_on_the_same_ground(
+    server: viser.ViserServer, model: ReviewModel
+) -> None:
+    writer = SceneWriter(server.scene)
+    view = model.view(ReviewState(object_id=1003))
+    writer.write(view)
+    box, drawn = view.layers[SELECTED], node(server, "/selected/box/edges")
+    low, high = (of(drawn.points.reshape(-1, 3)[:-2], axis=0) for of in (np.min, np.max))
+    corners = box.corners()[0]
+    assert (low[:2] < corners.min(axis=0)[:2] - 0.1).all() and (high > corners.max(axis=0) + 0.1).all()
+    assert low[2] == pytest.approx(corners[:, 2].min(), abs=1e-3)
+    assert drawn.thickness > STYLES[FALSE_NEGATIVES].thickness
 
 
 def test_a_layer_that_gets_empty_is_hidden_and_comes_back(server: viser.ViserServer, model: ReviewModel) -> None:
