@@ -40,6 +40,8 @@ FEATURES = (
 )
 """Methods that share features."""
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+DRIVERS = ("", "anticipating", "evading")
+"""Drivers as labels of perceptions name them, the default one by nothing."""
 TEAM, PLAIN, ALONE = "DSRC", "plain student", "ego alone"
 
 
@@ -77,6 +79,7 @@ def numbers() -> dict[str, str]:
             *_demo(),
             *_driving(),
             *_cooperation(),
+            *_faulty(),
             *_real(),
         ]
     )
@@ -262,7 +265,7 @@ def _cooperation() -> Iterator[tuple[str, str]]:
         pace = tables(result)["pace"]
         heads = [column.title for column in pace.columns]
         rows = {row.label: dict(zip(heads, map(str, row.cells), strict=True)) for row in pace.rows}
-        for driver in ("", "anticipating", "evading"):
+        for driver in DRIVERS:
             for name, perception in eyes.items():
                 key, label = (f"{name}_{driver}", f"{perception}, {driver}") if driver else (name, perception)
                 met = counted([one for one in parts_of(result)[0] if one.perception == label])
@@ -270,6 +273,18 @@ def _cooperation() -> Iterator[tuple[str, str]]:
                 for field, head in _PACE.items():
                     yield f"{key}_{field}", rows[label][head]
                 yield f"{key}_brake_mean", rows[label][_PACE["brake"]].partition(" ")[0]
+
+
+def _faulty() -> Iterator[tuple[str, str]]:
+    """Yield the crashes of each driver under the composed fault, and in the same episodes without it."""
+    common = parts_of(committed(LOOP / "cooperation-faults.toml")[1])[0]
+    for eyes in ("ego", "team", "late"):
+        for driver in DRIVERS:
+            label = f"{eyes}, {driver}" if driver else eyes
+            own = [one for one in common if one.perception == label]
+            key = f"faulty_{eyes}_{driver}" if driver else f"faulty_{eyes}"
+            yield f"{key}_clean", _count(counted([one for one in own if one.clean]))
+            yield f"{key}_crash", _count(counted([one for one in own if not one.clean]))
 
 
 def _real() -> Iterator[tuple[str, str]]:

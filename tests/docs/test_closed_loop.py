@@ -39,6 +39,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         "what-cooperation-gives",
         "what-cooperation-gives-with-detectors",
         "what-cooperation-gives-by-boxes",
+        "what-cooperation-gives-under-faults",
         "what-cooperation-gives-in-mined-encounters",
     }
     assert {name.partition("/")[0] for name, _ in places} == published
