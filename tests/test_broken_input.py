@@ -199,7 +199,7 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
         (("drive", "ima_queue", "--perception", "team", "--corruption", "fog", "--severity", "9"), "expected 1 to 5"),
         (
             ("drive", "ima_queue", "--perception", "team", "--corruption", "fog", "--corrupted-agents", "helper"),
-            "ego, helpers or",
+            "ego, helpers, vehicles",
         ),
         (("drive", "ima_queue", "--perception", "team", "--corrupted-agents", "helpers"), "add --corruption"),
         (("view", "{data}", "--out", "{out}", "--frames", "0"), "frames"),
