@@ -54,16 +54,17 @@ class CpmPerception(DetectorPerception):
             parts = self.detector.detect_each(sample)  # type: ignore[attr-defined]  # see `reset`
         own, *told = (as_objects(part, self._world_from_sample(sample)) for part in parts)
         self._own: Objects = own
-        made = self._messages[self.senses.index] = dict[int, Cpm | None]()
+        made = self._messages[frame.index] = dict[int, Cpm | None]()
         for agent, one in zip(sample.agent_ids[1:], told, strict=True):
             said = (message for each in self._messages.values() for name, message in each.items() if name != agent)
             heard = [message for message in said if message is not None]
             place = frame.agent(agent).sweep.world_from_lidar[:2, 3]
             sender = self._senders.setdefault(agent, CpmSender(self._rule))
             made[agent] = sender.message(one, frame.time_s, place, heard)
-        self._messages.pop(self.senses.index - MAX_AGE - 1, None)
+        if len(self._messages) > MAX_AGE + 1:
+            del self._messages[next(iter(self._messages))]
         for agent, message in made.items():
-            if message is not None and self._receiver.held(self._past, self.senses.index, agent, self._ego_id):
+            if message is not None and self._receiver.held(self._past, self._instant, agent, self._ego_id):
                 self._senders[agent].withdraw()
                 made[agent] = None
         return frame
@@ -77,17 +78,18 @@ class CpmPerception(DetectorPerception):
         parts = [as_detections(self._own, world_from_sample)]
         for link in links:
             picture = self._pictures.setdefault(link.sender, CpmPicture())
-            arrived = self._receiver.arrived(self._past, self.senses.index, link.sender, self._ego_id)
+            arrived = self._receiver.arrived(self._past, self._instant, link.sender, self._ego_id)
             for number in set(arrived) - picture.heard:
                 picture.heard.add(number)
-                if (message := self._messages.get(number, {}).get(link.sender)) is not None:
+                sent = self._past[self._instant - number]
+                if (message := self._messages.get(sent.index, {}).get(link.sender)) is not None:
                     picture.hear(self._believed(message, link.sender, number))
             parts.append(as_detections(picture.objects(now.time_s), world_from_sample))
         return self.detector.joined(parts), (), self._seen(sample, links)  # type: ignore[attr-defined]
 
     def _believed(self, message: Cpm, agent_id: int, number: int) -> Cpm:
         """Return a message whose sender errs about where it is, by the error of the channel."""
-        frame = self._past[self.senses.index - number]
+        frame = self._past[self._instant - number]
         sender = frame.agent(agent_id)
         pose = self._receiver.believed_pose(sender, frame.time_s, number)
         if pose is sender.sweep.world_from_lidar:

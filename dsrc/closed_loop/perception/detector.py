@@ -82,6 +82,7 @@ class DetectorPerception:
             raise SettingsError(complaint("perception", "detector", expected, "one that fuses clouds or features"))
         self._ego_id = -1
         self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
+        self._instant, self._turned_s = 0, -math.inf  # number of the newest measurement; time of the newest turn, s
 
     believes = True
     """Percepts are in the world as the ego believes it."""
@@ -108,6 +109,7 @@ class DetectorPerception:
         self._inbox.reset(seed, ego_id)
         self._ego_id = ego_id
         self._past.clear()
+        self._instant, self._turned_s = 0, -math.inf
         interval_s = max(self.message_interval_s or self._interval_s, scenario.step_s)
         self._present = Present()
         joined = [part.settings for part in getattr(self.detector, "detectors", ())[1:]]
@@ -132,7 +134,7 @@ class DetectorPerception:
         """Return the detector's input at `now`, unlabelled, and the links to the helpers; arguments as `perceive`."""
         sample = self._sample(self._sense(before, now, claims), now)
         grid = self.detector.settings.request.grid
-        return self._receiver.receive(self._past, self.senses.index, sample, grid)
+        return self._receiver.receive(self._past, self._instant, sample, grid)
 
     def _sample(self, frame: Frame, now: Actors) -> Sample:
         """Return what all agents measured in a frame, unlabelled."""
@@ -144,14 +146,22 @@ class DetectorPerception:
         return replace(sample, boxes=Boxes.zeros(), agent_boxes=none)
 
     def overhear(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> None:
-        """Let the helpers measure and send between two percepts; arguments as `perceive`."""
-        every_s = self.message_interval_s
-        if every_s is not None and self._past and now.time_s - self._past[0].time_s >= every_s - 1e-6:
+        """Let the helpers measure and send between two percepts, if that is heard later; arguments as `perceive`.
+
+        Else the sensors turn on all the same: the noise of a sweep does not depend on the radio.
+        """
+        if now.time_s - self._turned_s < sensed_every_s(self._interval_s, at_once=False) - 1e-6:
+            return
+        if self.message_interval_s is not None:
             self._sense(before, now, claims)
+        else:
+            self.senses.pass_over(before, now)
+            self._turned_s = now.time_s
 
     def _sense(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Frame:
         frame = self.senses.frame(before, now, claims)
         self._past.appendleft(frame)
+        self._instant, self._turned_s = self._instant + 1, now.time_s
         if any(fault.attack for fault in self.faults):
             for row, agent in enumerate(frame.agents):
                 seen = counted_in(frame, row, self.detector)
@@ -199,7 +209,7 @@ class DetectorPerception:
 
     def _sent(self, sample: Sample, links: tuple[Link, ...]) -> list[tuple[int, Frame, NDArray[np.float64]]]:
         """Return of each helper whose message arrived its id, the frame that it is of, and its believed LiDAR pose."""
-        sent = {link.sender: self._past[self.senses.index - link.sent] for link in links if link.received}
+        sent = {link.sender: self._past[self._instant - link.sent] for link in links if link.received}
         world_from_ego = self._world_from_sample(sample)
         helpers = zip(sample.agent_ids[1:], sample.ego_from_agent[1:], strict=True)
         return [(agent, sent[agent], world_from_ego @ pose) for agent, pose in helpers]

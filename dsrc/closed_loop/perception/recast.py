@@ -35,8 +35,8 @@ class RecastSenses:
         loop = msgspec.convert(settings.loop, LoopSettings)
         radio = settings.fault and any(fault.radio for fault in parse_faults(settings.fault, "log"))
         at_once = self._truth or not self._cooperative or (settings.channel in ("", IDEAL) and not radio)
-        every_s = sensed_every_s(loop.detect_every_s, at_once=at_once)
-        self._every = max(1, round(every_s / settings.scenario.step_s))
+        turned_s, told_s = (sensed_every_s(loop.detect_every_s, at_once=one) for one in (self._truth, at_once))
+        self._every, self._told_every = (max(1, round(one / settings.scenario.step_s)) for one in (turned_s, told_s))
         self._times = np.array([tick.actors.time_s for tick in log.ticks])
         self._senses: Senses | None = None
         self._casting = threading.Lock()
@@ -71,7 +71,7 @@ class RecastSenses:
             links = () if percept is None else percept.links
             if not links:
                 return frame.agents
-            heard = {link.sender: (link.sent - 1) * self._every for link in links if link.received}
+            heard = {link.sender: (link.sent - 1) * self._told_every for link in links if link.received}
             frames = {step: self._frame(step) for step in sorted({*heard.values()} - {now})} | {now: frame}
         own = self._log.settings.ego_id
         sent = {agent.agent_id: agent for step in frames.values() for agent in step.agents}

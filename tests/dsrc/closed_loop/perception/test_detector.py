@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from msgspec.structs import replace as changed
+from numpy.typing import NDArray
 
 from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
 from dsrc.closed_loop.perception.detector import DetectorPerception
@@ -21,7 +22,7 @@ from sensors.recording.record import record
 from sensors.sweep import POINT_FIELDS
 from sim.boxes import CLASSES, Boxes
 from sim.errors import SettingsError
-from sim.radio import PRESETS
+from sim.radio import PRESETS, ChannelSpec
 from sim.scenario import RoadsideUnit
 from tests.dsrc.closed_loop.perception.toy import EGO, HELPER, PLACES, SCENARIO, Knowing, build, instant, show
 from tests.dsrc.evaluation.fakes import PointCounter
@@ -225,7 +226,22 @@ def test_a_message_is_as_old_as_its_delay_and_a_turn_of_its_sensor_however_seldo
     assert [link.age_s for link in last.links] == pytest.approx([age_s])
     at_once = started(interval_s=interval_s)
     percepts(at_once, interval_s, steps=10)
-    assert at_once.senses.index == len(range(0, 10, round(interval_s / 0.1))), "nothing is late: none between percepts"
+    assert len(at_once._past) == len(range(0, 10, round(interval_s / 0.1))), "nothing is late: none between percepts"
+
+
+@pytest.mark.parametrize("channel", [{"medium": "fixed", "delay_s": 0.05}, {"packet_loss": 0.0, "jitter_s": 1e-9}])
+@pytest.mark.parametrize("interval_s", [0.1, 0.2])
+def test_the_radio_changes_no_point_of_a_sweep(channel: dict[str, Any], interval_s: float) -> None:
+    def clouds(spec: ChannelSpec) -> list[NDArray[np.float32]]:
+        perception = started(channel=spec, interval_s=interval_s)
+        percepts(perception, interval_s, steps=7)
+        times = np.arange(1, 8, round(interval_s / 0.1)) / 10
+        kept = [frame for frame in reversed(perception._past) if np.isclose(frame.time_s, times).any()]
+        return [agent.sweep.points for frame in kept for agent in frame.agents]
+
+    clean, faulty = clouds(PRESETS["ideal"]), clouds(changed(PRESETS["ideal"], **channel))
+    assert len(clean) == len(faulty) == 2 * len(range(0, 7, round(interval_s / 0.1)))
+    assert all(np.array_equal(one, other) for one, other in zip(clean, faulty, strict=True))
 
 
 def test_an_episode_begins_anew_with_reset() -> None:

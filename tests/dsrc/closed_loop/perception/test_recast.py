@@ -50,7 +50,13 @@ def frames_of_the_loop(condition: Condition) -> list[Frame]:
     """Frames at the measured steps, as a perception gets them."""
     senses = Senses(condition, True)
     senses.reset(SCENARIO, EGO, 0)
-    return [senses.frame(instant(step, SPEED), instant(step + 1, SPEED), {}) for step in range(0, STEPS, EVERY)]
+    frames = []
+    for step in range(STEPS):
+        if step % EVERY == 0:
+            frames.append(senses.frame(instant(step, SPEED), instant(step + 1, SPEED), {}))
+        else:
+            senses.pass_over(instant(step, SPEED), instant(step + 1, SPEED))
+    return frames
 
 
 def assert_same(found: AgentFrame, expected: AgentFrame) -> None:
