@@ -37,18 +37,31 @@ def crash_cause(log: EpisodeLog, cooperative: bool | None = None) -> Cause | Non
 def sight_of(log: EpisodeLog, cooperative: bool | None = None) -> InSight:
     """Return the lines of sight of an episode's perception; its world is built where one is first asked for.
 
+    A helper's LiDAR counts from when the first of its messages arrives.
+
     Args:
         cooperative: as of `crash_cause`.
     """
     uses = uses_helpers(parse_perception(log.settings.perception).kind) if cooperative is None else cooperative
     eyes: list[Eyes] = []
+    heard = _first_heard(log)
 
     def in_sight(now: Actors, object_id: int) -> bool:
         if not eyes:
             eyes.append(Eyes(log, uses))
-        return eyes[0].see(now, object_id)
+        helpers = None if heard is None else {one for one, time_s in heard.items() if time_s <= now.time_s}
+        return eyes[0].see(now, object_id, helpers)
 
     return in_sight
+
+
+def _first_heard(log: EpisodeLog) -> dict[int, float] | None:
+    """Return the time at which the first message of each helper arrived, s; None of a perception without messages."""
+    arrivals = [(tick.actors.time_s, link) for tick in log.ticks if tick.percept for link in tick.percept.links]
+    if not arrivals:
+        return None
+    # The earliest comes last, and stays.
+    return {link.sender: time_s for time_s, link in reversed(arrivals) if link.received}
 
 
 def crash_causes(
