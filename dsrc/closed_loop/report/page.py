@@ -19,7 +19,8 @@ _MOST = 24
 _FAILED = tuple(one.value for one in (Outcome.CRASHED, Outcome.LEFT, Outcome.STUCK, *FAILED))
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;color:#22272e;max-width:1100px;margin:2em auto;padding:0 1em}
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .7em;border-bottom:1px solid #e3e6ea;text-align:left}
+table{border-collapse:collapse;margin:.6em 0;display:block;overflow-x:auto}
+td,th{padding:.2em .7em;border-bottom:1px solid #e3e6ea;text-align:left}
 td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}p.note{color:#57606a;max-width:70em}img{max-width:100%}
 .failures{display:grid;grid-template-columns:repeat(auto-fill,minmax(320px,1fr));gap:1em}
 figure{margin:0;border:1px solid #e3e6ea;padding:.6em}figcaption{font-size:13px}
