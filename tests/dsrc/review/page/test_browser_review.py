@@ -5,14 +5,17 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dsrc.data.datasets.convert import convert
+from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import Sample
 from dsrc.ops.detections import Detections
 from dsrc.review.errors.report import shown_error
-from dsrc.review.model import ReviewModel
+from dsrc.review.model import ReviewModel, open_model
 from dsrc.review.page.app import LivePage, ReviewApp
 from dsrc.review.page.cameras import LATE_S
 from dsrc.review.page.cells import compare_address
@@ -100,6 +103,44 @@ def test_two_cells_have_one_camera_after_a_drag(model: ReviewModel, fake_fog: li
             wait_for(lambda: right.view.index == 6)
             wait_for(lambda: "frame%3D6" in page.evaluate("location.search"))
             assert page.evaluate("[...document.querySelectorAll('h1')].map(e=>e.textContent)") == ["clean", "fog 3"]
+    finally:
+        app.close()
+
+
+def test_four_cells_show_one_frame_each_with_its_own_counts(
+    model: ReviewModel, fake_fog: list[tuple[int, str, int]]
+) -> None:
+    links = ("frame=2", "frame=2&cooperative=0", "frame=2&corruption=fog", "frame=2&corruption=fog&cooperative=0")
+    app = ReviewApp(model, start_server())
+    try:
+        with open_page(app.url + compare_address(*links), (1400, 1000)) as page:
+            cells = app.wait_session(4, PATIENCE_S)
+            for cell in cells:
+                cell.wait_drawn(PATIENCE_S)
+            found = {(cell.state.corruption, cell.state.cooperative) for cell in cells}
+            assert found == {(kind, together) for kind in ("clean", "fog") for together in (True, False)}
+            cells[0].update(frame=5)
+            wait_for(lambda: all(cell.view.index == 5 for cell in cells))
+            every = "[...document.querySelectorAll('iframe')].map(e=>e.contentDocument.body.innerText)"
+            page.wait_for(f"{every}.every(text=>text.includes('Frame 5')&&text.includes('recall'))", PATIENCE_S)
+            titles = page.evaluate("[...document.querySelectorAll('h1')].map(e=>e.textContent)")
+            assert len(set(titles)) == 4 and sum("fog 3" in title for title in titles) == 2
+    finally:
+        app.close()
+
+
+def test_a_folder_of_kitti_shows_its_points_and_its_labels(tmp_path: Path) -> None:
+    write_frame(tmp_path / "drive", street_frame(0))
+    convert(data=tmp_path / "drive", out=tmp_path / "kitti", to="kitti", view="around")
+    app = ReviewApp(open_model(tmp_path / "kitti"), start_server())
+    try:
+        with open_page(f"{app.url}/?fixedDpr=1", SIZE) as page:
+            opened = Opened(app, page)
+            view = opened.session.wait_drawn(PATIENCE_S)
+            assert len(view.ego.points) > 100 and len(view.truth) > 0
+            page.wait_for("document.body.innerText.includes('No detector')", PATIENCE_S)
+            digits = "document.body.innerText.replace(/\\s/g,'')"
+            page.wait_for(f"{digits}.includes('{len(view.ego.points)}points')", PATIENCE_S)
     finally:
         app.close()
 
