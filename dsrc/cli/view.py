@@ -57,7 +57,6 @@ class View(ServeOptions, frozen=True, kw_only=True):
         app = serve(self, announce=_announce)
         if app.busy:
             # A detector in a thread would end the process with an abort. Files are whole: each is renamed at once.
-            sys.stdout.flush()
             os._exit(0)
         raise SystemExit(0)  # an interrupt is how it ends
 

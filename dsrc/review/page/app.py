@@ -101,8 +101,11 @@ class ReviewApp:
             self._changed.notify_all()
         stopped = [session.close(min(patience_s, 10.0)) for session in sessions]
         stopped.append(self.worker.close(patience_s))
-        stop_server(self.server)
-        return all(stopped)
+        # A server waits for connections that browsers have opened ahead and that ask nothing.
+        stopping = threading.Thread(target=stop_server, args=(self.server,), daemon=True)
+        stopping.start()
+        stopping.join(patience_s)
+        return all(stopped) and not stopping.is_alive()
 
     def _open(self, client: viser.ClientHandle) -> None:
         link = link_of(self.server, client.client_id)

@@ -23,8 +23,6 @@ from sim.errors import SettingsError, complaint
 LOOPBACK = "127.0.0.1"
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 _starting = threading.Lock()
-REQUEST_S = 1.0
-"""Time in which a connection must ask for something, s: browsers open some ahead, which a closing server waits for."""
 
 Process = Callable[[Any, Request], Response | None]
 
@@ -92,8 +90,7 @@ def _own_requests(host: str, allowed: Collection[str]) -> Iterator[None]:
     serve = websockets.asyncio.server.serve
 
     def guarded(*args: Any, process_request: Process, **kwargs: Any) -> Any:
-        answer = _answer(process_request, host, allowed)
-        return serve(*args, process_request=answer, open_timeout=REQUEST_S, **kwargs)
+        return serve(*args, process_request=_answer(process_request, host, allowed), **kwargs)
 
     with _starting:
         websockets.asyncio.server.serve = guarded  # type: ignore[assignment,misc]
