@@ -204,6 +204,7 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
         (("drive", "ima_queue", "--perception", "team", "--corrupted-agents", "helpers"), "add --corruption"),
         (("view", "{data}", "--out", "{out}", "--frames", "0"), "frames"),
         (("view", "{data}", "--port", "99999999"), "port"),
+        (("view", "{data}", "--severity", "9"), "severity: expected 1 to 5, found 9"),
         (("scenario", "show", "dsrc-sim"), "is a data set, not a scenario; run: dsrc dataset build dsrc-sim"),
         (("model", "train", "debug", "--data", "{data}", "--out", "{out}", "--epochs", "0"), "epochs"),
     ],

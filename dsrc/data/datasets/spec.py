@@ -212,6 +212,8 @@ def _drives(dataset: DatasetSpec, split: str, group: DriveGroup, path: Path, whe
             if parked_along(scenario, group.parked_per_km) != scenario:
                 expected = f"{scenario.demand.parked_per_km:g}, as {recorded} was recorded"
                 raise SettingsError(complaint(where, "parked_per_km", expected, group.parked_per_km))
+        if number is not None and scenario.conflict is not None and recorded is None:
+            raise SettingsError(complaint(where, "vehicles", f"none, as {name} names who carries a LiDAR", number))
         scenario = with_sensors(scenario, number, lidar, roadside_lidar, group.roadside, group.mount)
         scenario = parked_along(in_world(scenario, group.world), group.parked_per_km)
         spec = DriveSpec(scenario, seed, frames, **group.shared())

@@ -217,6 +217,7 @@ def test_recordings_are_not_replaced_by_drives_nor_by_a_simulation_that_fails(
         ("frames = [2]", 'frames = "many"', r"split.toml: split.train\[0\].frames: expected array, found many"),
         ("frames = [2]", "frames = [9000]", r"split.train\[0\]: frames: expected a drive of at most"),
         ('"debug-16"', '"debug-61"', r"agents.lidar: expected a LiDAR preset, found debug-61; did"),
+        ("quick.toml", "lta_truck", r"split.train\[0\]: vehicles: expected none, as lta_truck names who .*, found 2"),
         (
             "quick.toml",
             "four_wya",
