@@ -72,9 +72,14 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
         return self.from_s <= 0.0 and self.to_s == inf
 
     @property
+    def first(self) -> str:
+        """Name of its first number."""
+        return self.settings.__struct_fields__[0]
+
+    @property
     def value(self) -> float:
         """Its first number."""
-        return float(getattr(self.settings, self.settings.__struct_fields__[0]))
+        return float(getattr(self.settings, self.first))
 
     def at(self, time_s: float) -> bool:
         """Whether it is there at a time of the episode, s; at infinity, where time has no meaning: whether always."""

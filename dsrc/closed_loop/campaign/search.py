@@ -1,4 +1,8 @@
-"""Search for the critical severity, delay or loss of an episode: where its outcome flips."""
+"""Search for the critical severity, delay or loss of an episode: where its outcome flips.
+
+What is varied is that of the fault which has it, at its time and on its agents, beside the other faults of the text;
+else that of the corruption, or of the channel.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from msgspec.structs import replace
 
 from dsrc.closed_loop.campaign.critical import CriticalValue, critical_value
 from dsrc.closed_loop.campaign.plan import Campaign, PerceptionSpec, with_engine
@@ -13,7 +18,9 @@ from dsrc.closed_loop.driving.open import open_driver
 from dsrc.closed_loop.loop import ClosedLoop
 from dsrc.closed_loop.perception.open import ALONE, WITHOUT_SENSOR, open_perception
 from dsrc.closed_loop.types import Outcome, Perception
-from dsrc.faults.fault import parse_faults
+from dsrc.faults.condition import Disturbance, settled
+from dsrc.faults.fault import Fault, Faults, parse_faults
+from dsrc.faults.kinds import Severity
 from dsrc.tables.table import Column, Table, TableRow
 from sensors.corruptions import CLEAN, SEVERITIES, Condition
 from sim.errors import SettingsError, complaint, option
@@ -25,6 +32,8 @@ LONGEST_DELAY_S = 1.0
 _FINE = (Outcome.ARRIVED, Outcome.TIMEOUT, Outcome.DESYNCHRONISED)
 """Outcomes that are no failure; who never met the encounter did not fail in it."""
 _LOSS_TOLERANCE = 0.02
+_KINDS = {"delay_s": "delay", "loss": "loss"}
+"""Kinds of faults of the quantities that a channel has, too."""
 _TITLES = {"severity": "severity", "delay_s": "delay s", "loss": "lost packets"}
 
 
@@ -53,7 +62,8 @@ def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], No
     share and more.
 
     Args:
-        plan: of one scenario, perception, seed, channel, and for a severity one corruption.
+        plan: of one scenario, perception, seed, channel and text of faults, and for a severity one corruption, in that
+            text or beside it.
         quantity: `severity`, `delay_s` or `loss`.
         progress: called with episodes done, and that number and one more.
 
@@ -61,13 +71,14 @@ def search(plan: Campaign, quantity: Quantity, progress: Callable[[int, int], No
         SettingsError: the plan has more episodes than one, or none that the quantity changes.
     """
     plan = with_engine(plan)
-    kind = _corruption(plan, quantity)
+    faults = parse_faults(plan.fault[0]) if plan.fault else ()
+    kind = _corruption(plan, faults, quantity)
     one, seed = _single(plan, kind, quantity)
     outcomes: dict[float, Outcome] = {}
     driver = open_driver(one.driver or plan.driver, plan.loop.perception_limit_s)
 
     def fine(value: float) -> bool:
-        perception = _perception(plan, one, kind, quantity, value)
+        perception = _perception(plan, one, _at(plan, kind, faults, quantity, value))
         loop = ClosedLoop(plan.scenarios[0], perception, driver, plan.loop)
         outcomes[value] = loop.run(seed)
         if progress is not None:
@@ -112,9 +123,24 @@ def _seeds(plan: Campaign) -> tuple[int, ...]:
     return tuple(range(plan.clean_seeds)) if isinstance(plan.clean_seeds, int) else plan.clean_seeds
 
 
-def _corruption(plan: Campaign, quantity: Quantity) -> str:
+def _varied(faults: Faults, quantity: Quantity) -> list[Fault]:
+    """Return the faults that have a quantity."""
+    if quantity == "severity":
+        return [one for one in faults if isinstance(one.settings, Severity)]
+    return [one for one in faults if one.kind == _KINDS[quantity]]
+
+
+def _corruption(plan: Campaign, faults: Faults, quantity: Quantity) -> str:
+    """Return the corruption beside the faults of a plan; raises SettingsError unless one has the quantity."""
     kinds = sorted({one.kind for one in plan.conditions if one.kind != CLEAN})
-    if len(kinds) > 1 or (quantity == "severity" and not kinds):
+    having = _varied(faults, quantity)
+    if kinds and faults:
+        hint = f"; one text says both: --fault '{kinds[0]}:{plan.severity[0]} + {plan.fault[0]}'"
+        raise SettingsError(complaint("drive", "--corruption", "none beside --fault", kinds[0], hint))
+    if len(having) > 1:
+        named = " ".join(one.kind for one in having)
+        raise SettingsError(complaint("drive", "--fault", f"one fault with a {_TITLES[quantity]} in the text", named))
+    if len(kinds) > 1 or (quantity == "severity" and not kinds and not having):
         raise SettingsError(_one_for(quantity, "corruption", " ".join(kinds) or "none"))
     return kinds[0] if kinds else CLEAN
 
@@ -143,19 +169,30 @@ def _single(plan: Campaign, kind: str, quantity: Quantity) -> tuple[PerceptionSp
     return one, _seeds(plan)[0]
 
 
-def _perception(plan: Campaign, one: PerceptionSpec, kind: str, quantity: Quantity, value: float) -> Perception:
-    radio, severity = Radio.parse(plan.radios[0]), plan.severity[0]
-    if quantity == "severity":
-        severity = round(value)
-    else:
-        radio = radio.changed(**{quantity: value})
+def _at(plan: Campaign, kind: str, faults: Faults, quantity: Quantity, value: float) -> Disturbance:
+    """Return what the episode is driven in at a value of the quantity."""
+    radio = Radio.parse(plan.radios[0])
+    if having := _varied(faults, quantity):
+        idle = quantity == "severity" and round(value) == 0
+        setting = {"severity": round(value)} if quantity == "severity" else {having[0].first: value}
+        changed = () if idle else (replace(having[0], settings=replace(having[0].settings, **setting)),)
+        place = faults.index(having[0])
+        return settled((*faults[:place], *changed, *faults[place + 1 :]), radio.label)
+    if quantity != "severity":
+        return settled(faults, radio.changed(**{quantity: value}).label)
+    severity = round(value)
+    condition = Condition.of(kind if severity else CLEAN, severity, plan.family, plan.corrupted_agents)
+    return Disturbance(condition, radio.label)
+
+
+def _perception(plan: Campaign, one: PerceptionSpec, driven_in: Disturbance) -> Perception:
     return open_perception(
         one.kind,
-        fault=parse_faults(plan.fault[0]) if plan.fault else (),
+        fault=driven_in.faults,
         defence=plan.defences[0],
         checkpoint=Path(one.checkpoint) if one.checkpoint else None,
-        corruption=Condition.of(kind if severity else CLEAN, severity, plan.family, plan.corrupted_agents),
-        channel=radio.label,
+        corruption=driven_in.condition,
+        channel=driven_in.channel,
         interval_s=plan.loop.detect_every_s,
         look_ahead_s=plan.loop.look_ahead_s,
         engine=plan.engine,

@@ -20,7 +20,7 @@ from dsrc.closed_loop.campaign.episode import EpisodeJob, EpisodeResult, episode
 from dsrc.closed_loop.campaign.plan import Campaign, campaign_of, check, episodes_of
 from dsrc.closed_loop.campaign.run import EPISODES
 from dsrc.closed_loop.causes.episodes import crash_causes
-from dsrc.closed_loop.falsification.optimizers import ROUND, open_optimizer
+from dsrc.closed_loop.falsification.optimizers import ROUND, Optimizer, open_optimizer
 from dsrc.closed_loop.falsification.smallest import neighbours, smallest
 from dsrc.closed_loop.falsification.space import Candidate, Dimension, Space, Template, parameters_of, tidy
 from dsrc.closed_loop.log import EpisodeLog
@@ -152,12 +152,15 @@ def search_failures(
     fast = plan if options.fast is None else _plan(options, options.fast)
     for one in (plan, fast):
         _check_faults(one, space)
+    optimizers = {name: open_optimizer(name, space, options.budget, options.search_seed) for name in options.optimizer}
     with locked(out, what="search"), pool.open(ROUND) as workers:
         folder, judges = out / "episodes", fast is not plan
         folder.mkdir(parents=True, exist_ok=True)
         count = _Count(options.budget * len(options.optimizer) + (options.judge if judges else 0), progress)
         first = _Episodes(fast, space, folder, workers, count)
-        trials: dict[str, tuple[Trial, ...]] = {name: _searched(first, name, options) for name in options.optimizer}
+        trials: dict[str, tuple[Trial, ...]] = {
+            name: _searched(first, name, one, options.budget) for name, one in optimizers.items()
+        }
         driven = _Episodes(plan, space, folder, workers, count) if judges else first
         judged = _judged(driven, trials, options.judge) if judges else ()
         told = judged if judges else [one for own in trials.values() for one in own]
@@ -303,12 +306,11 @@ def value_of(result: EpisodeResult | None, size: float) -> float:
     return 1.0 if ttc_s is None else min(ttc_s, CALM_S) / CALM_S
 
 
-def _searched(driven: _Episodes, name: OptimizerName, options: SearchOptions) -> tuple[Trial, ...]:
+def _searched(driven: _Episodes, name: OptimizerName, optimizer: Optimizer, budget: int) -> tuple[Trial, ...]:
     """Return the trials of an optimiser."""
     space, trials = driven.space, list[Trial]()
-    optimizer = open_optimizer(name, space, options.budget, options.search_seed)
-    while len(trials) < options.budget:
-        points = optimizer.ask(min(ROUND, options.budget - len(trials)))
+    while len(trials) < budget:
+        points = optimizer.ask(min(ROUND, budget - len(trials)))
         candidates, sizes = [space.candidate(point) for point in points], [space.size(point) for point in points]
         for one, size, (key, result) in zip(candidates, sizes, driven.drive(candidates), strict=True):
             trials.append(_trial(name, len(trials) + 1, one, size, key, result))

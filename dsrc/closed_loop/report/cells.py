@@ -33,8 +33,10 @@ def scenario_title(name: str) -> str:
 
 
 def condition(one: EpisodeResult) -> str:
-    """Return the title of an episode's corruption or faults, and of its channel."""
-    return one.title if one.channel == IDEAL else f"{one.title}, {one.channel}"
+    """Return the title of an episode's corruption or faults, and of its channel: `clean` with neither."""
+    if one.channel == IDEAL:
+        return one.title
+    return one.channel if one.clean else f"{one.title}, {one.channel}"
 
 
 def condition_cells(group: Sequence[EpisodeResult]) -> tuple[str, ...]:

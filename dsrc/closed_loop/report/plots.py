@@ -5,6 +5,7 @@ style in all figures.
 """
 
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 
 import matplotlib as mpl
@@ -23,8 +24,11 @@ from dsrc.closed_loop.report.findings import counted_causes
 from dsrc.evaluation.results import condition_title
 from dsrc.tables.figure import COLORS, WIDTH_IN, Style, add_legend, draw_cell, figure_style, panels, styles_of
 from sensors.corruptions import CLEAN
+from sim.radio import IDEAL
 
 _CMAP = "RdBu_r"
+_LETTERS = 100
+"""Letters that fit side by side below the axis of a figure."""
 
 
 def driving_score(result: Result) -> float:
@@ -40,22 +44,29 @@ _SHOWN: tuple[tuple[str, Value, Callable[[Sequence[float]], Estimate]], ...] = (
 
 
 def collision_and_score(results: Sequence[Result], title: str = "") -> Figure:
-    """Draw collision rate and driving score, a group per corruption, a point with its 95 % interval per perception."""
-    perceptions, kinds = _perceptions(results), _kinds(results)
+    """Draw collision rate and driving score, a point with its 95 % interval per perception and corruption or fault.
+
+    Args:
+        results: of one severity of each corruption.
+    """
+    perceptions = _perceptions(results)
+    titles = dict.fromkeys(map(_disturbance, sorted(results, key=_corrupted)))
+    groups = {title: [one for one in results if _disturbance(one) == title] for title in titles}
+    width = max(_LETTERS // max(len(groups), 1), 10)
     styles = styles_of(perceptions)
     with figure_style():
         figure, parts = panels(WIDTH_IN, 5.4, rows=2, title=title)
         for axes, (label, value, estimate) in zip(parts, _SHOWN, strict=True):
             for i, name in enumerate(perceptions):
-                found = [estimate(_values(results, value, perception=name, corruption=kind)) for kind in kinds]
+                found = [estimate(_values(group, value, perception=name)) for group in groups.values()]
                 shift = 0.72 * ((i + 0.5) / len(perceptions) - 0.5)
-                _points(axes, [k + shift for k in range(len(kinds))], found, styles[name], name, line=False)
-            for k in range(1, len(kinds)):
+                _points(axes, [k + shift for k in range(len(groups))], found, styles[name], name, line=False)
+            for k in range(1, len(groups)):
                 axes.axvline(k - 0.5, color="#E3E6EA", linewidth=0.8)
-            axes.set_xticks(range(len(kinds)), [condition_title(kind).replace(" ", "\n", 1) for kind in kinds])
+            axes.set_xticks(range(len(groups)), [textwrap.fill(title, width) for title in groups])
             axes.tick_params(axis="x", length=0)
             axes.grid(visible=False, axis="x")
-            axes.set(xlim=(-0.5, max(len(kinds), 1) - 0.5), ylim=(-3, 103), yticks=range(0, 101, 20), ylabel=label)
+            axes.set(xlim=(-0.5, max(len(groups), 1) - 0.5), ylim=(-3, 103), yticks=range(0, 101, 20), ylabel=label)
         add_legend(figure, parts[0], below=True)
     return figure
 
@@ -218,6 +229,18 @@ def _points(
 
 def _perceptions(results: Sequence[Result]) -> list[str]:
     return list(dict.fromkeys(one.perception for one in results))
+
+
+def _disturbance(one: Result) -> str:
+    """Return the title of a corruption without its severity, of faults, or of a channel."""
+    own = one.fault or ("" if one.corruption == CLEAN else condition_title(one.corruption))
+    channel = "" if one.channel == IDEAL else one.channel
+    return ", ".join(part for part in (own, channel) if part) or CLEAN
+
+
+def _corrupted(one: Result) -> int:
+    """Return the place of a result: clean, corrupted, with faults."""
+    return 2 if one.fault or one.channel != IDEAL else int(one.corruption != CLEAN)
 
 
 def _kinds(results: Sequence[Result]) -> list[str]:

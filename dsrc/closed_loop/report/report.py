@@ -14,7 +14,7 @@ from dsrc.closed_loop.metrics.comparison import Result
 from dsrc.closed_loop.report.findings import NOTHING, Findings, causes_csv
 from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.report.page import campaign_page
-from dsrc.closed_loop.report.tables import NAMES, parts_of, tables
+from dsrc.closed_loop.report.tables import NAMES, of_first_channel, parts_of, tables
 from dsrc.runs.provenance import provenance
 from dsrc.tables.document import Section, check_document, publish
 from sensors.corruptions import CLEAN
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PICTURES = {
-    "collisions": "Collision rate and driving score of each perception, clean and under each corruption",
+    "collisions": "Collision rate and driving score of each perception, clean and under each corruption or fault",
     "corruptions": "Which corruption kills: collision rate of each perception, by scenario and corruption",
     "severities": "Collision rate over the severity of each corruption",
     "channels": "Cost of the delay and the loss of messages",
@@ -133,8 +133,15 @@ def _plots(result: CampaignResult, more: Findings) -> "dict[str, Callable[[], Fi
     plan, every = result.plan, [one for one in whole if not one.fault and not one.defence]
     severity = plan.severity[len(plan.severity) // 2]
     one_channel = [one for one in every if one.channel == plan.radios[0]]
+    planned = {condition.kind for condition in plan.conditions}
     shown = [one for one in one_channel if one.corruption == CLEAN or one.severity == severity]
-    plots: dict[str, Callable[[], Figure]] = {"collisions": partial(collision_and_score, shown, title=plan.name)}
+    faulty = [
+        one
+        for one in of_first_channel(plan, whole)
+        if not one.defence and (one.fault or one.channel != plan.radios[0] or one.corruption not in planned)
+    ]
+    both = partial(collision_and_score, [*shown, *faulty], title=plan.name)
+    plots: dict[str, Callable[[], Figure]] = {"collisions": both}
     if any(one.corruption != CLEAN for one in shown):
         plots["corruptions"] = partial(deadly_corruptions, shown)
     if len(plan.severity) > 1:

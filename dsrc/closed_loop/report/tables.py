@@ -81,23 +81,24 @@ def tables(result: CampaignResult, more: Findings = NOTHING) -> dict[str, Table]
     """Tables that a campaign has results for, by name, those of its gate first."""
     common, apart = parts_of(result)
     first = result.plan.radios[0]
-    of_first = [[one for one in part if one.channel == first] for part in (common, apart)]
+    plain = [[one for one in part if one.channel == first] for part in (common, apart)]
+    of_first = of_first_channel(result.plan, common)
     found = [
         *more.gate.tables(),
         _all_scenarios(result, common),
         _apart(result, apart),
-        _crashed(of_first[0]),
-        _arrived(of_first[0]),
-        _scenarios(of_first),
+        _crashed(of_first),
+        _arrived(of_first),
+        _scenarios(plain),
         _differences(result.plan, common),
-        _arrivals(result.plan, of_first[0]),
-        _pace(result.plan, of_first[0]),
+        _arrivals(result.plan, of_first),
+        _pace(result.plan, plain[0]),
         _scores(common),
         _hazards(common),
         _lies(result),
-        _robustness(result.plan, of_first[0]),
+        _robustness(result.plan, plain[0]),
         _reasons(result.results, more),
-        _causes(of_first[0]),
+        _causes(of_first),
         _worst(result),
         _controls(result),
     ]
@@ -107,6 +108,12 @@ def tables(result: CampaignResult, more: Findings = NOTHING) -> dict[str, Table]
         for one in found
         if one.rows or one.note
     }
+
+
+def of_first_channel(plan: Campaign, results: Sequence[EpisodeResult]) -> list[EpisodeResult]:
+    """Return the episodes through the first channel of a campaign, as it is or with a fault of the radio."""
+    own = {each.channel for each in plan.disturbed(plan.radios[0])}
+    return [one for one in results if one.channel in own]
 
 
 def _table(name: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note: str, left: int = 1) -> Table:

@@ -9,6 +9,7 @@ from dsrc.closed_loop.campaign import search as searching
 from dsrc.closed_loop.campaign.plan import campaign_of
 from dsrc.closed_loop.campaign.search import search, search_table, search_text
 from dsrc.closed_loop.types import Outcome, Percept
+from dsrc.faults.fault import faults_text
 from dsrc.options.driving import DriveOptions
 from sim.boxes import Boxes
 from sim.errors import SettingsError
@@ -56,6 +57,57 @@ def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: p
     assert search_text(found).startswith("ima_building, team, seed 0, delay s: worse from ")
 
 
+@pytest.mark.parametrize(
+    ("fault", "quantity", "told"),
+    [
+        (
+            "fog:3 from 2 s on ego + loss:0.3",
+            "severity",
+            {
+                0.0: ("clean", "ideal,loss=0.3", ""),
+                2.0: ("clean", "ideal,loss=0.3", "fog:2 from 2 s on ego"),
+                5.0: ("clean", "ideal,loss=0.3", "fog:5 from 2 s on ego"),
+            },
+        ),
+        ("fog:3", "severity", {0.0: ("clean", "ideal", ""), 4.0: ("fog 4", "ideal", "")}),
+        (
+            "loss:0.3 from 2 s to 5 s + fog:2",
+            "loss",
+            {
+                0.0: ("clean", "ideal", "loss:0 from 2 s to 5 s + fog:2"),
+                0.5: ("clean", "ideal", "loss:0.5 from 2 s to 5 s + fog:2"),
+            },
+        ),
+        ("loss:0.3", "loss", {1.0: ("clean", "ideal,loss=1", "")}),
+        ("fog:2", "delay_s", {0.4: ("fog 2", "ideal,delay_s=0.4", "")}),
+    ],
+)
+def test_a_quantity_is_that_of_the_fault_that_has_it(
+    monkeypatch: pytest.MonkeyPatch, fault: str, quantity: str, told: dict[float, tuple[str, str, str]]
+) -> None:
+    """Beside it the other faults stay as they are; severity 0 is an episode without the corruption."""
+    given: dict[float, tuple[str, str, str]] = {}
+
+    def opened(_: str, **settings: Any) -> Late:
+        given[-1.0] = (settings["corruption"].label, settings["channel"], faults_text(settings["fault"]))
+        return Late(0.0)
+
+    class Driven:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def run(self, _: int) -> Outcome:
+            return Outcome.ARRIVED
+
+    monkeypatch.setattr(searching, "open_perception", opened)
+    monkeypatch.setattr(searching, "ClosedLoop", Driven)
+    options = DriveOptions(what="ima_building", perception=("team",), fault=(fault,), detect_every_s=0.2)
+    by_number: list[tuple[str, str, str]] = []
+    found = search(campaign_of(options), quantity, lambda *_: by_number.append(given.pop(-1.0)))  # type: ignore[arg-type]
+    driven = dict(zip(found.outcomes, by_number, strict=True))
+    assert {round(value, 6): driven[value] for value in driven if round(value, 6) in told} == told
+
+
 def test_delays_go_to_the_longest_whatever_the_interval() -> None:
     for interval_s, last in ((0.1, 1.0), (0.2, 1.0), (0.3, 0.9), (0.4, 0.8), (0.6, 0.6)):
         delays = searching._delays(interval_s)
@@ -73,6 +125,14 @@ def test_delays_go_to_the_longest_whatever_the_interval() -> None:
         ({"perception": ("team",), "seed": (0, 1)}, "loss", "seed"),
         ({"perception": ("team",), "corruption": ("fog", "snow")}, "severity", "corruption"),
         ({"perception": ("team", "ego"), "corruption": ("fog",)}, "severity", "perception"),
+        ({"perception": ("team",), "fault": ("loss:0.3",)}, "severity", "corruption: expected one value"),
+        ({"perception": ("team",), "fault": ("fog:3 + snow:2",)}, "severity", "one fault with a severity .* fog snow"),
+        ({"perception": ("team",), "fault": ("fog:3", "fog:4")}, "severity", "fault"),
+        (
+            {"perception": ("team",), "corruption": ("fog",), "fault": ("loss:0.3",)},
+            "severity",
+            "--fault 'fog:3 [+] loss:0.3'",
+        ),
     ],
 )
 def test_a_plan_of_more_than_one_episode_or_without_the_quantity_is_refused(

@@ -1,6 +1,7 @@
 """A search over a made world, in which weak brakes crash, and over true episodes."""
 
 import csv
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from dsrc.closed_loop.falsification.report import failure_table, optimizer_table
 from dsrc.closed_loop.falsification.run import Falsification, search_failures
 from dsrc.options.search import SearchOptions
 from dsrc.runs.unit import Progress, Unit
+from sim.errors import SettingsError
 from sim.files import write_file
 from tests.commands import dsrc
 from tests.dsrc.closed_loop.causes.test_cause import crash
@@ -134,4 +136,11 @@ def test_a_true_encounter_without_brakes_is_a_failure_whose_log_is_whole(tmp_pat
 def test_a_search_that_cannot_be_is_refused_in_a_line(words: tuple[str, ...], complaint: str, tmp_path: Path) -> None:
     done = dsrc("search", "ima_building", *words, "--out", str(tmp_path / "out"))
     assert done.returncode == 2 and complaint in done.stderr and len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "out").exists() and not DRIVEN
+
+
+def test_a_search_without_its_package_makes_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    with pytest.raises(SettingsError, match=r"optimizer tpe needs the package optuna: pip install"):
+        search_failures(options(optimizer=("random", "tpe")), tmp_path / "out")
     assert not (tmp_path / "out").exists() and not DRIVEN

@@ -25,6 +25,8 @@ class One:
     scenario: str = "ima"
     who: str = "all"
     channel: str = "ideal"
+    fault: str = ""
+    defence: str = ""
     outcome: str = "arrived"
     metrics: dict[str, float | None] = field(default_factory=dict)
 
@@ -65,6 +67,17 @@ def test_collision_rates_have_wilson_intervals_and_scores_those_of_the_bootstrap
     assert points(figure, 1, "ego") == [(50.0, 0.0)] * 3
     assert points(figure, 0, "truth")[0][0] == 0.0
     assert [tick.get_text() for tick in figure.axes[0].get_xticklabels()] == ["clean", "fog", "snow"]
+
+
+def test_faults_are_groups_of_their_own_after_the_corruptions() -> None:
+    faults = [
+        *cell("ego", 5, channel="ideal,loss=0.3"),
+        *cell("ego", 8, fault="fog:3 from 2 s + bursts:0.3"),
+    ]
+    figure = collision_and_score([*faults, *RESULTS])
+    assert [height for height, _ in points(figure, 0, "ego")] == pytest.approx([20.0, 90.0, 20.0, 50.0, 80.0])
+    titles = [tick.get_text().replace("\n", " ") for tick in figure.axes[0].get_xticklabels()]
+    assert titles == ["clean", "fog", "snow", "ideal,loss=0.3", "fog:3 from 2 s + bursts:0.3"]
 
 
 def test_curves_over_severity_begin_at_clean() -> None:

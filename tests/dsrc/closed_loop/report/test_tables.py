@@ -37,6 +37,22 @@ def test_rates_and_arrivals_are_of_the_episodes_that_met_their_encounter() -> No
     assert crashed["together"][0].startswith("0 % [")
 
 
+def test_a_fault_of_the_radio_alone_is_a_column_as_other_faults_are() -> None:
+    """It is written as a channel, so that both spellings find one episode; another channel has no column."""
+    plan = Campaign(
+        scenarios=PLAN.scenarios, perceptions=PLAN.perceptions, channel=("ideal", "c-v2x"), fault=("loss:0.3",)
+    )
+    driven = [
+        replace(one("together", seed, outcome), channel=channel)
+        for channel, outcome in (("ideal", "arrived"), ("ideal,loss=0.3", "crashed"), ("c-v2x", "crashed"))
+        for seed in range(2)
+    ]
+    found = tables_of(*driven, plan=plan)
+    assert found["arrived"] == [["perception", "clean", "ideal,loss=0.3"], ["together", "2 of 2", "0 of 2"]]
+    assert [row[1] for row in found["conditions"][1:]] == ["clean", "ideal,loss=0.3", "c-v2x"]
+    assert found["scenarios"][1][1].startswith("0 % ["), "clean episodes have no fault"
+
+
 def test_a_perception_that_fails_neither_crashes_nor_arrives() -> None:
     found = tables_of(one("together", 0, "crashed", at_fault=0.0), one("together", 1, "perception failed"))
     assert found["arrived"][1] == ["together", "0 of 2"]
