@@ -5,6 +5,7 @@ style in all figures.
 """
 
 import math
+import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 
@@ -63,7 +64,7 @@ def collision_and_score(results: Sequence[Result], title: str = "") -> Figure:
                 _points(axes, [k + shift for k in range(len(groups))], found, styles[name], name, line=False)
             for k in range(1, len(groups)):
                 axes.axvline(k - 0.5, color="#E3E6EA", linewidth=0.8)
-            axes.set_xticks(range(len(groups)), [textwrap.fill(title, width) for title in groups])
+            axes.set_xticks(range(len(groups)), [_wrapped(title, width) for title in groups])
             axes.tick_params(axis="x", length=0)
             axes.grid(visible=False, axis="x")
             axes.set(xlim=(-0.5, max(len(groups), 1) - 0.5), ylim=(-3, 103), yticks=range(0, 101, 20), ylabel=label)
@@ -236,6 +237,11 @@ def _disturbance(one: Result) -> str:
     own = one.fault or ("" if one.corruption == CLEAN else condition_title(one.corruption))
     channel = "" if one.channel == IDEAL else one.channel
     return ", ".join(part for part in (own, channel) if part) or CLEAN
+
+
+def _wrapped(title: str, width: int) -> str:
+    """Return a title in lines of so many letters, which part neither words nor a number from its unit."""
+    return textwrap.fill(re.sub(r"(\d) s\b", "\\1\u00a0s", title), width, break_long_words=False)
 
 
 def _corrupted(one: Result) -> int:

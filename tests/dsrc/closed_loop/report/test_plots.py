@@ -76,7 +76,7 @@ def test_faults_are_groups_of_their_own_after_the_corruptions() -> None:
     ]
     figure = collision_and_score([*faults, *RESULTS])
     assert [height for height, _ in points(figure, 0, "ego")] == pytest.approx([20.0, 90.0, 20.0, 50.0, 80.0])
-    titles = [tick.get_text().replace("\n", " ") for tick in figure.axes[0].get_xticklabels()]
+    titles = [tick.get_text().replace("\n", " ").replace("\u00a0", " ") for tick in figure.axes[0].get_xticklabels()]
     assert titles == ["clean", "fog", "snow", "ideal,loss=0.3", "fog:3 from 2 s + bursts:0.3"]
 
 
