@@ -90,6 +90,10 @@ class NetworkLanes:
         self._heading = points[:, 2]
         self._tree = cKDTree(points[:, :2])
         self._chains: dict[int, tuple[Array, ...]] = {}
+        # Caches of the map's own go with it: a campaign drives hundreds of maps.
+        self._ways_to = lru_cache(maxsize=10_000)(self._find_ways_to)
+        self._cut = lru_cache(maxsize=100_000)(self._cut_ways)
+        self._next = cache(self._find_next)
 
     def ahead(self, pose: Array, length_m: Array) -> list[tuple[Array, ...]]:
         """Return the lanes ahead, see `LaneMap.ahead`."""
@@ -129,8 +133,7 @@ class NetworkLanes:
             met[lane] = -1 if own else at
         return tuple(way for lane, at in met.items() if at >= 0 for way in self._ways_to(lane, at))
 
-    @lru_cache(maxsize=10_000)  # noqa: B019  maps are few, and cached themselves
-    def _ways_to(self, number: int, at: int) -> tuple[ConflictLane, ...]:
+    def _find_ways_to(self, number: int, at: int) -> tuple[ConflictLane, ...]:
         """Return the ways on which a station of a lane is reached."""
         name, line = self._names[number], self.lines[number]
         onward = self._onward(name, _BEYOND_M - (len(line) - at))[0]
@@ -182,8 +185,7 @@ class NetworkLanes:
         signal = self._lanes[before].getEdge().getToNode().getType().startswith("traffic_light")
         return not signal and any(state in _MINOR for state in states), signal
 
-    @lru_cache(maxsize=100_000)  # noqa: B019  maps are few, and cached themselves
-    def _cut(self, places: tuple[tuple[int, int], ...], length_m: float) -> tuple[Array, ...]:
+    def _cut_ways(self, places: tuple[tuple[int, int], ...], length_m: float) -> tuple[Array, ...]:
         """Return the different ways on from stations of lanes."""
         need = round(length_m / LANE_STEP_M)
         cut = [chain[at : at + need] for lane, at in places for chain in self._ahead_of(lane)]
@@ -210,8 +212,7 @@ class NetworkLanes:
                 break
         return ways or [[]]
 
-    @cache  # noqa: B019  the map lives as long as its process's scenarios
-    def _next(self, name: str) -> tuple[str, ...]:
+    def _find_next(self, name: str) -> tuple[str, ...]:
         found = []
         for link in self._lanes[name].getOutgoing():
             onward = link.getViaLaneID() or link.getToLane().getID()

@@ -41,6 +41,8 @@ allows: `small-dsrc-vulnerable.pt`."""
 AUTO = "auto"
 """Name that stands for the engine of `engine_for`."""
 _ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
+_ROWS = 1024
+"""Step of the numbers of pillars that a layer in bfloat16 is computed for."""
 
 
 def deployed(detector: Detector, precision: torch.dtype = torch.float32) -> Detector:
@@ -271,7 +273,10 @@ class FusedConv(nn.Module):
 
     def of_pillars(self, x: PillarMap) -> Tensor:
         """Map the pillars by a 1 x 1 convolution to the (N, outputs, H, W) map of all cells."""
-        values = functional.linear(x.features.to(self.weight.dtype), self.weight.flatten(1), self.bias)
+        features = x.features.to(self.weight.dtype)
+        if features.dtype == torch.bfloat16:  # oneDNN compiles and keeps a kernel for each number of rows
+            features = functional.pad(features, (0, 0, 0, -len(features) % _ROWS))
+        values = functional.linear(features, self.weight.flatten(1), self.bias)[: len(x.features)]
         empty = self.bias
         if self.relu:
             values, empty = values.relu_(), empty.relu()

@@ -1,15 +1,19 @@
 """Lanes that cross a path or merge into it."""
 
+import gc
+import weakref
+
 import msgspec
 import numpy as np
 import pytest
 
-from dsrc.closed_loop.driving.lanes import RouteLanes, lanes_of
+from dsrc.closed_loop.driving.lanes import NetworkLanes, RouteLanes, lanes_of
 from dsrc.closed_loop.driving.path import path_of
 from dsrc.closed_loop.types import ConflictLane
 from sim.catalog.load import load_scenario
-from sim.encounters import with_encounter
+from sim.encounters import network_file, with_encounter
 from sim.geometry import Array
+from sim.roads.networks import read_network
 
 HALF = 1.75
 """Distance of the lanes' centres from the middle of the encounters' roads, m."""
@@ -85,3 +89,14 @@ def test_where_there_are_lights_no_sign_holds() -> None:
 def test_a_route_without_a_map_tells_no_lanes() -> None:
     path = path_of(EASTWARDS[:, :2], 0.0, 4.9)
     assert RouteLanes(path).conflicts(EASTWARDS) == ()
+
+
+def test_a_map_that_nobody_holds_any_more_is_freed() -> None:
+    """A campaign drives hundreds of maps in one process."""
+    scenario = with_encounter(load_scenario("ima_building"), 0)
+    lanes = NetworkLanes(read_network(network_file(scenario, 0)))
+    assert lanes.conflicts(EASTWARDS) and lanes.ahead(EASTWARDS[:1], np.array([50.0]))
+    gone = weakref.ref(lanes)
+    del lanes
+    gc.collect()
+    assert gone() is None

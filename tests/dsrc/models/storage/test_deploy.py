@@ -183,3 +183,22 @@ def test_a_map_by_its_pillars_is_the_dense_map() -> None:
     torch.testing.assert_close(filled, torch.where(dense > 0, dense, torch.tensor([0.5, -1.0])[:, None, None]))
     conv = FusedConv(torch.randn(3, 2, 1, 1), torch.randn(3), relu=True)
     torch.testing.assert_close(conv.of_pillars(sparse), conv(dense), atol=1e-6, rtol=1e-6)
+
+
+@pytest.mark.skipif(not BFLOAT16, reason="needs a processor with bfloat16")
+def test_in_bfloat16_frames_of_nearly_as_many_pillars_share_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OneDNN keeps a kernel for each number of rows: a campaign of thousands of frames had gigabytes of them."""
+    seen, plain = [], nn.functional.linear
+
+    def linear(x: torch.Tensor, *weights: torch.Tensor) -> torch.Tensor:
+        seen.append(len(x))
+        return plain(x, *weights)
+
+    monkeypatch.setattr("dsrc.models.storage.deploy.functional.linear", linear)
+    conv = FusedConv(torch.randn(3, 2, 1, 1), torch.randn(3)).bfloat16()
+    for count in (1, 4, 1000):
+        coords = torch.stack([torch.zeros(count), torch.arange(count) // 50, torch.arange(count) % 50], 1).long()
+        sparse = PillarMap(torch.randn(count, 2), coords, clouds=1, height=32, width=50)
+        dense = conv(sparse.dense().bfloat16())
+        torch.testing.assert_close(conv.of_pillars(sparse), dense, atol=2e-2, rtol=2e-2)
+    assert len(set(seen)) == 1
