@@ -1,4 +1,4 @@
-"""What fails, the vehicle or its place: recall of vehicles in their own places and in those of other drives.
+"""What fails, the vehicle or its place: recall of vehicles where they were, elsewhere there, and in other drives.
 
 Drives are real or simulated, in any format that `dsrc` reads; see `dsrc.realism.transplant`.
 
@@ -21,6 +21,7 @@ from dsrc.realism.figures import sweeps_of
 from dsrc.realism.transplant import Scene, place_table, recall_by_place
 from sensors.frame import Frame
 from sensors.sweep import Sweep
+from sim.errors import UserError
 
 
 def main() -> None:
@@ -31,13 +32,16 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=10, help="frames of each source, evenly spread")
     parser.add_argument("--seed", type=int, default=0, help="of the places")
     options = parser.parse_args()
-    detector = open_detector(options.checkpoint, use={"height": options.height})
+    try:
+        detector = open_detector(options.checkpoint, use={"height": options.height})
+        sources = {str(root): scenes_of(root, options.frames) for root in options.drives}
+    except UserError as error:
+        parser.error(str(error))
 
     def detect(sweep: Sweep) -> Detections:
         cloud = np.column_stack([sweep.points, sweep.intensity])
         return detector.detect(make_sample(Frame.of_cloud(cloud), None, detector.settings.request))
 
-    sources = {str(root): scenes_of(root, options.frames) for root in options.drives}
     print(place_table(recall_by_place(sources, detect, options.seed)).text(120))
 
 

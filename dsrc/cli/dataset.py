@@ -288,16 +288,17 @@ class Realism(msgspec.Struct, frozen=True, kw_only=True):
         """Measure both, write what was found and print the tables."""
         from rich.console import Console
 
-        from dsrc.realism.gauge import compare, measure, provenance_of
+        from dsrc.realism.gauge import compare, measure, provenance_of, sensors_text
         from dsrc.realism.report import family_table, realism_table, write_realism
         from sim.errors import SettingsError, complaint
-        from sim.files import check_apart
+        from sim.files import check_apart, check_folder
 
         for side, roots in (("REAL", self.real), ("--simulated", self.simulated)):
             if not roots:
                 raise SettingsError(complaint("realism", side, "at least one folder of drives", "none"))
         for root in (*self.real, *self.simulated):
             check_apart(self.out, root)
+        check_folder(self.out)
         with progress("realism, real sweeps") as report:
             real = measure(self.real, self.frames, self.seed, self.pool, report)
         with progress("realism, simulated sweeps") as report:
@@ -308,4 +309,6 @@ class Realism(msgspec.Struct, frozen=True, kw_only=True):
         console = Console(highlight=False)
         console.print(realism_table(rows))
         console.print(family_table(rows))
+        if told := sensors_text(real, simulated):
+            sys.stderr.write(f"realism: {told}\n")
         made(self.out, "figures and plots of real and simulated sweeps")

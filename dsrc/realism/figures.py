@@ -84,6 +84,9 @@ FIGURES = (
 
 FAMILIES = tuple(dict.fromkeys(one.family for one in FIGURES))
 
+BEAMS = "beams"
+"""Name of the number of beams in samples, which is no figure."""
+
 Samples = dict[str, NDArray[np.float64]]
 """Samples by the names of figures; those that a sweep does not have are absent."""
 
@@ -187,7 +190,9 @@ def _vehicles(scene: _Scene) -> Samples:
 
 
 def _intensities(scene: _Scene) -> Samples:
-    """Return intensities of vehicles, of the ground and of what stands."""
+    """Return intensities of vehicles, of the ground and of what stands; none of a cloud that has one alone."""
+    if np.ptp(scene.intensity) == 0.0:
+        return {}
     on_vehicle = np.zeros(len(scene.points), bool)
     points, rows = scene.pairs
     on_vehicle[points[scene.boxes.is_vehicle[rows]]] = True
@@ -220,6 +225,7 @@ def _beams(sweep: Sweep) -> Samples:
         rings = rings_of(sweep, "realism")
     except DataError:
         return samples
+    samples[BEAMS] = np.array([rings.count], np.float64)
     if rings.count >= _EIGHTHS:
         counts = np.bincount(rings.ring, minlength=rings.count)
         full = max(np.quantile(counts, _FULLEST), 1.0)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.stats import wasserstein_distance
 
 from dsrc.data.drives import drive_hashes, list_drives, open_drive
-from dsrc.realism.figures import FIGURES, FigureOf, Samples, figures_of, sweeps_of
+from dsrc.realism.figures import BEAMS, FIGURES, FigureOf, Samples, figures_of, sweeps_of
 from dsrc.runs.executors import SERIAL, Pool, Progress
 from dsrc.runs.jobs import results_of
 from dsrc.runs.provenance import provenance
@@ -30,6 +30,10 @@ from sim.errors import DataError, SettingsError, complaint
 RESAMPLES = 200
 HALVES = 40
 LEVEL = 0.95
+_FEWEST_SWEEPS = 4
+"""Fewest real sweeps whose halves differ, or whose spread one number each tells."""
+_ALIKE = 1e-6
+"""Difference of values that are alike, as a share of the largest."""
 SHOWN = (0.1, 0.5, 0.9)
 """Quantiles that tables show."""
 
@@ -46,7 +50,8 @@ class Row:
         distance: between the two, in the figure's unit.
         low, high: interval of the distance.
         halves: median distance between halves of the real sweeps; NaN for fewer than four sweeps.
-        spread: standard deviation of the real values.
+        spread: standard deviation of the real values; NaN where they are all alike, or one each of fewer than four
+            sweeps.
     """
 
     figure: FigureOf
@@ -62,7 +67,7 @@ class Row:
     @property
     def relative(self) -> float:
         """Distance in spreads of the real figure; NaN where it has none."""
-        return self.distance / self.spread if self.spread > 0.0 else math.nan
+        return self.distance / self.spread
 
 
 def compare(real: Sequence[Samples], simulated: Sequence[Samples], seed: int = 0) -> list[Row]:
@@ -84,13 +89,28 @@ def compare(real: Sequence[Samples], simulated: Sequence[Samples], seed: int = 0
 
 def families_of(rows: Sequence[Row]) -> dict[str, float]:
     """Return the mean of the relative distances of each family; NaN where none is known."""
-    found: dict[str, list[float]] = {}
-    for row in rows:
-        found.setdefault(row.figure.family, []).append(row.relative)
-    return {
-        family: float(np.mean(known)) if (known := [one for one in values if math.isfinite(one)]) else math.nan
-        for family, values in found.items()
-    }
+    return {family: float(np.mean(known)) if known else math.nan for family, (known, _) in _by_family(rows).items()}
+
+
+def counts_of(rows: Sequence[Row]) -> dict[str, tuple[int, int]]:
+    """Return the number of figures that the number of each family is a mean of, and that of all its figures."""
+    return {family: (len(known), count) for family, (known, count) in _by_family(rows).items()}
+
+
+def _by_family(rows: Sequence[Row]) -> dict[str, tuple[list[float], int]]:
+    """Return the known relative distances of each family, and the number of its figures."""
+    families = dict.fromkeys(row.figure.family for row in rows)
+    own = {family: [row.relative for row in rows if row.figure.family == family] for family in families}
+    return {family: ([one for one in values if math.isfinite(one)], len(values)) for family, values in own.items()}
+
+
+def sensors_text(real: Sequence[Samples], simulated: Sequence[Samples]) -> str:
+    """Return what speaks against one sensor of all sweeps, in one line: different numbers of beams; "" if nothing."""
+    counts = [sorted({int(sweep[BEAMS][0]) for sweep in sweeps if BEAMS in sweep}) for sweeps in (real, simulated)]
+    if len({*counts[0], *counts[1]}) < 2:
+        return ""
+    told = [" and ".join(map(str, own)) or "unknown numbers of" for own in counts]
+    return f"sweeps of several sensors: the real ones have {told[0]} beams, the simulated ones {told[1]}"
 
 
 def measure(
@@ -150,7 +170,7 @@ def _row(
         again = [[sweeps[k] for k in rng.integers(0, len(sweeps), len(sweeps))] for sweeps in (real, simulated)]
         distances.append(_distance(*again))
     halves = math.nan
-    if len(real) >= 4:
+    if len(real) >= _FEWEST_SWEEPS:
         splits = []
         for _ in range(HALVES):
             order = rng.permutation(len(real))
@@ -158,8 +178,6 @@ def _row(
             splits.append(_distance([real[k] for k in one], [real[k] for k in other]))
         halves = float(np.median(splits))
     low, high = np.quantile(distances, (0.5 - LEVEL / 2, 0.5 + LEVEL / 2))
-    values, weights = _pooled(real)
-    mean = np.average(values, weights=weights)
     return Row(
         figure,
         (len(real), len(simulated)),
@@ -169,8 +187,16 @@ def _row(
         float(low),
         float(high),
         halves,
-        float(np.sqrt(np.average((values - mean) ** 2, weights=weights))),
+        _spread(real),
     )
+
+
+def _spread(sweeps: Sequence[NDArray[np.float64]]) -> float:
+    """Return the standard deviation of a figure, see `Row.spread`."""
+    values, weights = _pooled(sweeps)
+    if np.ptp(values) <= _ALIKE * np.abs(values).max() or len(values) == len(sweeps) < _FEWEST_SWEEPS:
+        return math.nan
+    return float(np.sqrt(np.average((values - np.average(values, weights=weights)) ** 2, weights=weights)))
 
 
 def _pooled(sweeps: Sequence[NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

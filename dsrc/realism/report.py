@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dsrc.realism.figures import FIGURES, FigureOf, Samples
-from dsrc.realism.gauge import Row, families_of
+from dsrc.realism.gauge import Row, counts_of, families_of
 from dsrc.tables.figure import COLORS, INK, WIDTH_IN, figure_style, panels, write_figure
 from dsrc.tables.files import csv_text, json_text
 from dsrc.tables.table import Column, Table, TableRow
@@ -40,16 +40,21 @@ def realism_table(rows: Sequence[Row]) -> Table:
         lines.append(TableRow(row.figure.family, (title, _number(row.real[1]), _number(row.simulated[1]), *values)))
     caption = (
         "Values: median. Distance: Wasserstein's, with its 95 % interval; halves: between halves of the real sweeps; "
-        "spreads: the distance in standard deviations of the real figure."
+        "spreads: the distance in standard deviations of the real figure; none where the real values are all alike, or "
+        "one each of fewer than four sweeps."
     )
     return Table("realism", "Real and simulated sweeps", "family", columns, tuple(lines), caption=caption, grouped=True)
 
 
 def family_table(rows: Sequence[Row]) -> Table:
     """Table of one number per family: the mean distance in spreads of the real figures."""
+    counts = counts_of(rows)
     return Table.of(
-        ("family", "in spreads"),
-        [(family, _number(value)) for family, value in families_of(rows).items()],
+        ("family", "in spreads", "of figures"),
+        [
+            (family, _number(value), f"{counts[family][0]} of {counts[family][1]}")
+            for family, value in families_of(rows).items()
+        ],
         name="families",
         title="Distance by family",
     )

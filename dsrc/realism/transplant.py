@@ -148,15 +148,17 @@ class PlaceRow:
     """Vehicles of one source in the places of another.
 
     Attributes:
-        vehicles, places: names of the sources; equal ones for vehicles where they were.
+        vehicles, places: names of the sources.
         count: vehicles.
         found: those that were found.
+        moved: they are elsewhere than where they were.
     """
 
     vehicles: str
     places: str
     count: int
     found: int
+    moved: bool = True
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -170,11 +172,11 @@ class PlaceRow:
 def recall_by_place(
     sources: Mapping[str, Sequence[Scene]], detect: Callable[[Sweep], Detections], seed: int = 0
 ) -> list[PlaceRow]:
-    """Return how many vehicles are found in their own places, and in those of every other source.
+    """Return how many vehicles are found where they were, elsewhere in their sweeps, and in those of other sources.
 
     Args:
-        sources: scenes by name; the i-th scene's vehicles go into the i-th of another source, which begins anew at
-            its end.
+        sources: scenes by name; the i-th scene's vehicles go into the i-th of each source, which begins anew at its
+            end.
         detect: a detector, boxes in the sensor's frame.
         seed: of the places.
     """
@@ -185,9 +187,9 @@ def recall_by_place(
         hits = [
             _found(detect(sweep), box) for (sweep, _), box in zip(sources[vehicles], boxes, strict=True) if len(box)
         ]
-        rows.append(PlaceRow(vehicles, vehicles, sum(map(len, boxes)), sum(hits)))
+        rows.append(PlaceRow(vehicles, vehicles, sum(map(len, boxes)), sum(hits), moved=False))
         for places, scenes in sources.items():
-            if places == vehicles or not scenes:
+            if not scenes:
                 continue
             count = found = 0
             for index, some in enumerate(own):
@@ -210,12 +212,8 @@ def place_table(rows: Sequence[PlaceRow]) -> Table:
     for row in rows:
         recall = row.found / row.count if row.count else math.nan
         numbers = tuple((Stat(value),) for value in (recall, *row.interval))
-        lines.append(
-            TableRow(
-                row.vehicles,
-                ("their own" if row.places == row.vehicles else row.places, row.count, row.found, *numbers),
-            )
-        )
+        where = row.places if row.places != row.vehicles else "elsewhere there" if row.moved else "where they were"
+        lines.append(TableRow(row.vehicles, (where, row.count, row.found, *numbers)))
     caption = (
         f"Vehicles with {FEWEST_POINTS} points, found with a score of {SCORE} at IoU {IOU}; Wilson's 95 % interval."
     )

@@ -79,6 +79,11 @@ def test_intensities_are_those_of_their_class() -> None:
     assert np.median(found["intensity_standing"]) == pytest.approx(0.7)
 
 
+def test_a_cloud_without_intensities_has_no_figure_of_them() -> None:
+    ground = road(np.random.default_rng(6))
+    assert not any("intensity" in name for name in figures_of(sweep(ground, intensity=0.2), NONE))
+
+
 def test_beams_without_a_return_lower_their_share() -> None:
     azimuth = np.linspace(-np.pi, np.pi, 900, endpoint=False)
     elevation = np.radians(np.linspace(2, -24, 32))

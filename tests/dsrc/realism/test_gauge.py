@@ -1,13 +1,15 @@
 """The gauge: equal sweeps are 0 apart, a shift is its distance, and the command writes what it measured."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dsrc.realism.figures import Samples
-from dsrc.realism.gauge import compare, families_of, measure
+from dsrc.realism.gauge import compare, counts_of, families_of, measure, sensors_text
+from dsrc.realism.report import family_table
 from sim.errors import DataError
 from tests.commands import dsrc
 from tests.dsrc.evaluation.small import write_drives
@@ -51,6 +53,27 @@ def test_a_family_is_the_mean_of_its_figures() -> None:
     assert families_of(rows) == {row.figure.family: pytest.approx(row.relative) for row in rows}
 
 
+def test_figures_of_one_number_a_sweep_have_no_spread_below_four_sweeps_and_the_family_says_so() -> None:
+    rng = np.random.default_rng(2)
+    sweeps = [
+        {"elevation": rng.normal(0, 5, 50), "returns_0": np.array([0.9 + 0.01 * k]), "scattered": np.array([0.3])}
+        for k in range(4)
+    ]
+    other = {"elevation": rng.normal(0, 5, 50), "returns_0": np.array([0.1]), "scattered": np.array([0.2])}
+    few, enough = (compare(sweeps[:count], [other]) for count in (3, 4))
+    assert [math.isnan(row.relative) for row in few] == [True, False, True]
+    assert [math.isnan(row.relative) for row in enough] == [False, False, True], "values that are alike have none"
+    assert counts_of(few) == {"beams": (1, 2), "roadside": (0, 1)} and math.isnan(families_of(few)["roadside"])
+    assert counts_of(enough)["beams"] == (2, 2)
+    assert "1 of 2" in family_table(few).markdown()
+
+
+def test_sweeps_of_several_sensors_are_told() -> None:
+    wide, narrow, unknown = {"beams": np.array([64.0])}, {"beams": np.array([32.0])}, dict[str, np.ndarray]()
+    assert sensors_text([wide, unknown], [wide]) == "" == sensors_text([unknown], [wide])
+    assert "real ones have 64 beams, the simulated ones 32 and 64" in sensors_text([wide], [wide, narrow])
+
+
 def test_one_seed_gives_one_interval() -> None:
     real, far = ([street(np.random.default_rng(10 * side + k), 1.0 * side) for k in range(5)] for side in (0, 1))
     assert compare(real, far, seed=3) == compare(real, far, seed=3)
@@ -73,6 +96,15 @@ def test_a_drive_beside_itself(tmp_path: Path) -> None:
     assert all(value in (0.0, None) for value in written["families"].values())
     assert written["provenance"]["data"]
     assert {path.name for path in out.iterdir()} == {f"realism.{end}" for end in ("json", "csv", "md", "png")}
+
+
+def test_a_file_of_another_program_stops_it_before_the_work(tmp_path: Path) -> None:
+    out, drives = tmp_path / "out", write_drives(tmp_path / "data", drives=1)
+    out.mkdir()
+    (out / "realism.csv").write_text("mine\n")
+    done = dsrc("realism", str(drives), "--simulated", str(drives), "--out", str(out), "--workers", "1")
+    assert done.returncode != 0 and "found realism.csv" in done.stderr
+    assert (out / "realism.csv").read_text() == "mine\n" and len(list(out.iterdir())) == 1
 
 
 def test_a_folder_without_drives_is_named(tmp_path: Path) -> None:
