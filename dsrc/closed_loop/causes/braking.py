@@ -34,25 +34,26 @@ def last_chance(log: EpisodeLog) -> int | None:
         raise ValueError("expected an episode with a crash into a road user, found none")
     times, boxes = _motion(log, contact.other_id)
     until_s = log.ticks[-1].actors.time_s + _AFTER_S
+    even = log.settings.scenario.conflict is not None  # the script of an encounter moves its actors so
     for step in range(len(log) - 2, -1, -1):
-        ego = log.ticks[step].ego
-        if not _meets(ego, log.actors.step_s, until_s, times, boxes):
+        if not _meets(braked_way(log.ticks[step].ego, log.actors.step_s, until_s, even), times, boxes):
             return step
     return None
 
 
-def braked_way(ego: EgoState, step_s: float, until_s: float) -> tuple[NDArray[np.float64], Boxes]:
+def braked_way(ego: EgoState, step_s: float, until_s: float, even: bool) -> tuple[NDArray[np.float64], Boxes]:
     """Return the (K,) times and the K boxes of an ego that brakes fully along its route until it stands, and after.
 
     Args:
-        step_s: step of the traffic, s: the speed falls by the braking of each step at its beginning, as in the loop.
+        step_s: step of the traffic, s.
         until_s: time of the last box, s, later where the ego stands later.
+        even: the speed falls evenly within a step; else at its beginning, as in SUMO.
     """
     brake = max(ego.limits.deceleration_mps2, 1e-3)
     stand_s = ego.time_s + ego.speed_mps / brake
     count = max(math.ceil((max(until_s, stand_s + _AFTER_S) - ego.time_s) / step_s), 1)
-    speed = np.maximum(ego.speed_mps - brake * step_s * np.arange(1, count + 1), 0.0)
-    driven = np.concatenate([[0.0], np.cumsum(speed * step_s)])
+    speed = np.maximum(ego.speed_mps - brake * step_s * np.arange(count + 1), 0.0)
+    driven = np.concatenate([[0.0], np.cumsum((0.5 * (speed[:-1] + speed[1:]) if even else speed[1:]) * step_s)])
     fine = np.arange(count * _FINE + 1) / _FINE
     way = np.interp(fine, np.arange(count + 1), driven)
     straight = ego.box.center[:1, :2] + np.array([[0.0, 0.0], _ahead(ego)])
@@ -87,14 +88,12 @@ def _motion(log: EpisodeLog, object_id: int) -> tuple[NDArray[np.float64], list[
 
 
 def _meets(
-    ego: EgoState,
-    step_s: float,
-    until_s: float,
+    way: tuple[NDArray[np.float64], Boxes],
     times: NDArray[np.float64],
     motion: list[tuple[Boxes, NDArray[np.float64]]],
 ) -> bool:
-    """Return whether an ego that brakes fully from now on touches the other."""
-    when, own = braked_way(ego, step_s, until_s)
+    """Return whether an ego on its braked way touches the other."""
+    when, own = way
     size = motion[-1][0].size
     centre = np.array([box.center[0, :2] for box, _ in motion])
     yaw = np.unwrap([float(box.yaw[0]) for box, _ in motion])

@@ -8,8 +8,11 @@ import pytest
 
 from dsrc.closed_loop.causes.braking import braked_way, last_chance
 from dsrc.closed_loop.causes.cause import Cause, cause_of
+from dsrc.closed_loop.driving.open import open_driver
 from dsrc.closed_loop.log import EpisodeLog
-from dsrc.closed_loop.types import Decision, Outcome, Percept, Tick, Tracks
+from dsrc.closed_loop.loop import ClosedLoop, LoopSettings
+from dsrc.closed_loop.perception.open import open_perception
+from dsrc.closed_loop.types import Decision, EgoState, LaneMap, Outcome, Percept, Tick, Tracks
 from dsrc.messages.message import Told
 from sim.contact import Contact, first_contact
 from sim.traffic.base import Actors
@@ -61,10 +64,42 @@ def test_full_braking_at_the_last_chance_stops_before_the_other_and_a_step_later
     log = crash()
     assert last_chance(log) == CHANCE
     for step, stops in ((CHANCE, True), (CHANCE + 1, False)):
-        _, boxes = braked_way(log.ticks[step].ego, 0.1, 5.0)
-        # Its last metre is that of the textbook: v^2 / 2a, less half a step that the loop's speeds are ahead.
-        assert boxes.center[-1, 0] - boxes.center[0, 0] == pytest.approx(10.0**2 / 15.0 - 0.5, abs=0.05)
-        assert bool(boxes.center[-1, 0] + 2.0 < PARKED_M - 2.0) is stops
+        # Its last metre is that of the textbook: v^2 / 2a, less half a step that SUMO's speeds are ahead.
+        for even, way_m in ((True, 10.0**2 / 15.0), (False, 10.0**2 / 15.0 - 0.5)):
+            _, boxes = braked_way(log.ticks[step].ego, 0.1, 5.0, even)
+            assert boxes.center[-1, 0] - boxes.center[0, 0] == pytest.approx(way_m, abs=0.05)
+            assert bool(boxes.center[-1, 0] + 2.0 < PARKED_M - 2.0) is stops
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["eebl_chain", "rilsa_1"])
+def test_the_braked_way_is_the_one_that_the_traffic_drives(name: str) -> None:
+    """An ego that brakes fully, in an encounter's script and in SUMO: the same places, step by step."""
+
+    class Brakes:
+        """Drives as the default driver, and brakes fully once it is fast and a second has passed."""
+
+        def reset(self, lanes: LaneMap | None) -> None:
+            self.before, self.steps, self.braking = open_driver("planning"), 0, False
+            self.before.reset(lanes)
+
+        def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
+            self.steps += 1
+            self.braking = self.braking or (ego.speed_mps >= 9.0 and self.steps > 10)
+            brake = Decision(-ego.limits.deceleration_mps2, "outside")
+            return brake if self.braking else self.before.decide(ego, tracks)
+
+    loop = ClosedLoop(name, open_perception("truth"), Brakes(), LoopSettings(duration_s=20.0))
+    loop.run(0)
+    log = loop.log(perception="truth")
+    start = next(k for k, tick in enumerate(log.ticks) if tick.decision.reason == "outside")
+    # A command moves the ego from the next step on.
+    ego, times = log.ticks[start].ego, [tick.actors.time_s for tick in log.ticks[start:]]
+    when, boxes = braked_way(ego, log.actors.step_s, times[-1], log.settings.scenario.conflict is not None)
+    driven = np.array([tick.ego.box.center[0, :2] for tick in log.ticks[start:]])
+    way = np.column_stack([np.interp(times, when, boxes.center[:, axis]) for axis in (0, 1)])
+    assert np.hypot(*(driven[-1] - driven[0])) > 6.0
+    assert np.abs(driven - way).max() < 0.1
 
 
 def test_the_hand_made_crash_is_one() -> None:
