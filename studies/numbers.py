@@ -257,8 +257,8 @@ def _cooperation() -> Iterator[tuple[str, str]]:
     """Yield what eyes give to a driver: crashes, and time and braking where it arrives with all of its eyes."""
     for plan, eyes in (
         ("cooperation", {"sight": "own sight", "team_sight": "team's sight"}),
-        ("cooperation-detectors", {"ego": "ego", "team": "team"}),
-        ("cooperation-boxes", {"late": "late", "cpm": "cpm"}),
+        ("cooperation-detectors", {"ego": "ego", "team": "team", "late": "late"}),
+        ("cooperation-boxes", {"boxes_late": "late", "cpm": "cpm"}),
         ("cooperation-mined", {"mined_sight": "own sight", "mined_team_sight": "team's sight"}),
     ):
         result = committed(LOOP / f"{plan}.toml")[1]
@@ -270,6 +270,10 @@ def _cooperation() -> Iterator[tuple[str, str]]:
                 key, label = (f"{name}_{driver}", f"{perception}, {driver}") if driver else (name, perception)
                 met = counted([one for one in parts_of(result)[0] if one.perception == label])
                 yield f"{key}_crash", _count(met)
+                alone = f"ego, {driver}" if driver else "ego"
+                if plan == "cooperation-detectors" and name != "ego":
+                    theirs = [one for one in parts_of(result)[0] if one.perception == alone]
+                    yield f"{key}_against_alone", _compared(met, theirs, collided)
                 for field, head in _PACE.items():
                     yield f"{key}_{field}", rows[label][head]
                 yield f"{key}_brake_mean", rows[label][_PACE["brake"]].partition(" ")[0]
