@@ -13,6 +13,7 @@ import trimesh
 
 from sensors.frame import Frame, agent_order
 from sensors.recording.agent_selection import choose_agents
+from sensors.recording.overlaps import overlapping, without
 from sensors.recording.rig import Rig
 from sensors.scan.scene import BodyMesh, RayScene
 from sim.errors import SettingsError
@@ -74,6 +75,9 @@ def record(
 ) -> Recording:
     """Run the traffic of a whole drive and choose its agents; sweeps are cast when frames are requested.
 
+    In a world of version 2 road users whose bodies overlap others' are left out of the whole drive, see
+    `sensors.recording.overlaps`; those who drive behind them do so in the traffic all the same.
+
     Args:
         traffic: at the time of the first frame; it is stepped half a sweep beyond the last.
         world: static world in the world frame, None for an empty one.
@@ -92,6 +96,9 @@ def record(
     # Rounded as in a log of the traffic, so that a replay chooses the same agents.
     steps = [traffic.actors.rounded()]
     steps.extend(traffic.step().rounded() for _ in range((frames - 1) * stride + margin))
+    if scenario.uneven and scenario.conflict is None:  # whoever meets in an encounter stays
+        gone = overlapping(steps, scenario.agents.named)
+        steps = [without(actors, gone) for actors in steps]
     frame_steps = tuple(range(0, frames * stride, stride))
     rng = random_generator(seed, Stream.AGENT_SELECTION)
     vehicles = choose_agents([steps[row] for row in frame_steps], scenario, rng)
