@@ -35,7 +35,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         docs: Markdown document that gets the tables and plots of a campaign too, files beside it: those that it has
             markers for, or all at its end if it has none; default: none.
         critical: search the severity of the corruption, or the delay or loss of messages, at which the outcome of the
-            episode flips, those of a fault that has them at its time and on its agents; default: none.
+            episode flips; a fault with such a number is varied in their place; default: none.
         fail_under: conditions, [PERCEPTION:] QUANTITY SIGN NUMBER, such as crashed<=5% or "team: pdms>=0.8": exit with
             1 where one fails for a perception. Quantities are shares of episodes (crashed, at_fault, arrived, success,
             stuck, timeout, left, lost, failed), means of the metrics in results.csv, and with a baseline the numbers of

@@ -178,9 +178,13 @@ def _at(plan: Campaign, kind: str, faults: Faults, quantity: Quantity, value: fl
         changed = () if idle else (replace(having[0], settings=replace(having[0].settings, **setting)),)
         place = faults.index(having[0])
         return settled((*faults[:place], *changed, *faults[place + 1 :]), radio.label)
-    if quantity != "severity":
-        return settled(faults, radio.changed(**{quantity: value}).label)
-    severity = round(value)
+    severity = plan.severity[0]
+    if quantity == "severity":
+        severity = round(value)
+    else:
+        radio = radio.changed(**{quantity: value})
+    if faults:
+        return settled(faults, radio.label)
     condition = Condition.of(kind if severity else CLEAN, severity, plan.family, plan.corrupted_agents)
     return Disturbance(condition, radio.label)
 

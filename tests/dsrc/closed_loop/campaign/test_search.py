@@ -80,6 +80,8 @@ def test_the_delay_at_which_an_encounter_becomes_a_crash_is_found(monkeypatch: p
         ),
         ("loss:0.3", "loss", {1.0: ("clean", "ideal,loss=1", "")}),
         ("fog:2", "delay_s", {0.4: ("fog 2", "ideal,delay_s=0.4", "")}),
+        ("--corruption snow", "loss", {0.5: ("snow 3", "ideal,loss=0.5", "")}),
+        ("--corruption snow", "severity", {0.0: ("clean", "ideal", ""), 2.0: ("snow 2", "ideal", "")}),
     ],
 )
 def test_a_quantity_is_that_of_the_fault_that_has_it(
@@ -101,7 +103,8 @@ def test_a_quantity_is_that_of_the_fault_that_has_it(
 
     monkeypatch.setattr(searching, "open_perception", opened)
     monkeypatch.setattr(searching, "ClosedLoop", Driven)
-    options = DriveOptions(what="ima_building", perception=("team",), fault=(fault,), detect_every_s=0.2)
+    given_as = {"corruption": ("snow",)} if fault == "--corruption snow" else {"fault": (fault,)}
+    options = DriveOptions(what="ima_building", perception=("team",), detect_every_s=0.2, **given_as)  # type: ignore[arg-type]
     by_number: list[tuple[str, str, str]] = []
     found = search(campaign_of(options), quantity, lambda *_: by_number.append(given.pop(-1.0)))  # type: ignore[arg-type]
     driven = dict(zip(found.outcomes, by_number, strict=True))
