@@ -15,7 +15,7 @@ from pathlib import Path
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.metrics.comparison import Value, arrived, collided, counted, pairs
-from dsrc.closed_loop.metrics.statistics import paired_rates, rate
+from dsrc.closed_loop.metrics.statistics import PairedRates, paired_rates, rate
 from dsrc.closed_loop.report.tables import parts_of, tables
 from studies.closed_loop.page import committed
 from studies.dsrc_paper.published import published_tables
@@ -279,8 +279,20 @@ def _cooperation() -> Iterator[tuple[str, str]]:
                 yield f"{key}_brake_mean", rows[label][_PACE["brake"]].partition(" ")[0]
 
 
+def _points(found: PairedRates) -> str:
+    """Return a difference of shares in points, with its interval of 95 % and its exact test."""
+    value, low, high = (
+        f"{100.0 * one:.0f}" for one in (found.difference.value, found.difference.low, found.difference.high)
+    )
+    return f"{value} [{low}, {high}], p = {found.p_value:.3f}"
+
+
 def _faulty() -> Iterator[tuple[str, str]]:
-    """Yield the crashes of each driver under the composed fault, and in the same episodes without it."""
+    """Yield the crashes of each driver under the composed fault and in the same episodes without it, and differences.
+
+    `_less`: crashes under it, less those of the ego alone; `_harm` and `_arrivals`: crashes and arrivals with it, less
+    those without it.
+    """
     common = parts_of(committed(LOOP / "cooperation-faults.toml")[1])[0]
     for eyes in ("ego", "team", "late"):
         for driver in DRIVERS:
@@ -289,6 +301,21 @@ def _faulty() -> Iterator[tuple[str, str]]:
             key = f"faulty_{eyes}_{driver}" if driver else f"faulty_{eyes}"
             yield f"{key}_clean", _count(counted([one for one in own if one.clean]))
             yield f"{key}_crash", _count(counted([one for one in own if not one.clean]))
+            alone = {
+                (one.scenario, one.seed): one
+                for one in common
+                if one.perception == (f"ego, {driver}" if driver else "ego") and not one.clean
+            }
+            before = {(one.scenario, one.seed): one for one in own if one.clean}
+            for what, others, value in (
+                ("less", alone, collided),
+                ("harm", before, collided),
+                ("arrivals", before, arrived),
+            ):
+                both = [(one, others[one.scenario, one.seed]) for one in own if not one.clean]
+                places = [(one.scenario, one.seed) for one, _ in both]
+                sides = ([value(pair[side]) for pair in both] for side in (0, 1))
+                yield f"{key}_{what}", _points(paired_rates(*sides, clusters=places))
 
 
 def _real() -> Iterator[tuple[str, str]]:
