@@ -254,26 +254,35 @@ def _compared(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult], va
 
 
 def _cooperation() -> Iterator[tuple[str, str]]:
-    """Yield what eyes give to a driver: crashes, and time and braking where it arrives with all of its eyes."""
+    """Yield what eyes give to a driver: crashes, and time and braking where it arrives with all of its eyes.
+
+    `_against`: crashes of one side only, in pairs with the driver's first eyes; `_kbps`: what helpers send, kB/s.
+    Eyes without a name are the first of their campaign alone, since another one yields their numbers.
+    """
     for plan, eyes in (
         ("cooperation", {"sight": "own sight", "team_sight": "team's sight"}),
         ("cooperation-detectors", {"ego": "ego", "team": "team", "late": "late"}),
-        ("cooperation-boxes", {"boxes_late": "late", "cpm": "cpm"}),
+        ("cooperation-boxes", {"": "late", "cpm": "cpm"}),
         ("cooperation-mined", {"mined_sight": "own sight", "mined_team_sight": "team's sight"}),
     ):
         result = committed(LOOP / f"{plan}.toml")[1]
-        pace = tables(result)["pace"]
+        pace, common = tables(result)["pace"], parts_of(result)[0]
         heads = [column.title for column in pace.columns]
         rows = {row.label: dict(zip(heads, map(str, row.cells), strict=True)) for row in pace.rows}
+        first, *_ = eyes.values()
         for driver in DRIVERS:
+            more = f", {driver}" if driver else ""
             for name, perception in eyes.items():
-                key, label = (f"{name}_{driver}", f"{perception}, {driver}") if driver else (name, perception)
-                met = counted([one for one in parts_of(result)[0] if one.perception == label])
+                if not name or (label := f"{perception}{more}") not in rows:
+                    continue
+                key = f"{name}_{driver}" if driver else name
+                met = counted([one for one in common if one.perception == label])
                 yield f"{key}_crash", _count(met)
-                alone = f"ego, {driver}" if driver else "ego"
-                if plan == "cooperation-detectors" and name != "ego":
-                    theirs = [one for one in parts_of(result)[0] if one.perception == alone]
-                    yield f"{key}_against_alone", _compared(met, theirs, collided)
+                if perception != first:
+                    theirs = [one for one in common if one.perception == f"{first}{more}"]
+                    yield f"{key}_against", _compared(met, theirs, collided)
+                sent, lasted = (sum(one.metrics[what] or 0.0 for one in met) for what in ("sent_mb", "duration_s"))
+                yield f"{key}_kbps", f"{1e3 * sent / lasted:.3g}"
                 for field, head in _PACE.items():
                     yield f"{key}_{field}", rows[label][head]
                 yield f"{key}_brake_mean", rows[label][_PACE["brake"]].partition(" ")[0]
