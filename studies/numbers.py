@@ -264,28 +264,30 @@ def _cooperation() -> Iterator[tuple[str, str]]:
         ("cooperation-detectors", {"ego": "ego", "team": "team", "late": "late"}),
         ("cooperation-boxes", {"": "late", "cpm": "cpm"}),
         ("cooperation-mined", {"mined_sight": "own sight", "mined_team_sight": "team's sight"}),
+        ("redundancy", {"": "cpm", "cpm_dynamics": "cpm-dynamics", "cpm_distance": "cpm-distance"}),
     ):
         result = committed(LOOP / f"{plan}.toml")[1]
-        pace, common = tables(result)["pace"], parts_of(result)[0]
-        heads = [column.title for column in pace.columns]
-        rows = {row.label: dict(zip(heads, map(str, row.cells), strict=True)) for row in pace.rows}
+        pace, common = tables(result).get("pace"), parts_of(result)[0]
+        heads = [column.title for column in pace.columns] if pace else []
+        rows = {row.label: dict(zip(heads, map(str, row.cells), strict=True)) for row in (pace.rows if pace else ())}
         first, *_ = eyes.values()
         for driver in DRIVERS:
             more = f", {driver}" if driver else ""
             for name, perception in eyes.items():
-                if not name or (label := f"{perception}{more}") not in rows:
+                label = f"{perception}{more}"
+                met = counted([one for one in common if one.perception == label])
+                if not name or not met:
                     continue
                 key = f"{name}_{driver}" if driver else name
-                met = counted([one for one in common if one.perception == label])
                 yield f"{key}_crash", _count(met)
                 if perception != first:
                     theirs = [one for one in common if one.perception == f"{first}{more}"]
                     yield f"{key}_against", _compared(met, theirs, collided)
                 sent, lasted = (sum(one.metrics[what] or 0.0 for one in met) for what in ("sent_mb", "duration_s"))
                 yield f"{key}_kbps", f"{1e3 * sent / lasted:.3g}"
-                for field, head in _PACE.items():
-                    yield f"{key}_{field}", rows[label][head]
-                yield f"{key}_brake_mean", rows[label][_PACE["brake"]].partition(" ")[0]
+                if label in rows:
+                    yield from ((f"{key}_{field}", rows[label][head]) for field, head in _PACE.items())
+                    yield f"{key}_brake_mean", rows[label][_PACE["brake"]].partition(" ")[0]
 
 
 def _points(found: PairedRates) -> str:
