@@ -164,10 +164,10 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 sys.stderr.write(f"{reused(plan, known)} of {len(known)} results are of this campaign's episodes\n")
             episodes, seconds = estimate_s(plan, out, self.pool, known)
             sys.stderr.write(f"{episodes} episodes to drive, about {_duration(seconds)}\n")
-        for name, delay_s, age_s in late_messages(plan):
+        for name, delay_s, every_s, age_s in late_messages(plan):
             sys.stderr.write(
-                f"channel {name}: messages are {delay_s:g} s late, so a detection every "
-                f"{plan.loop.detect_every_s:g} s uses those of {age_s:g} s ago\n"
+                f"channel {name}: messages are {delay_s:g} s late and measured every {every_s:g} s, so the newest at a "
+                f"detection is {age_s:g} s old\n"
             )
         with progress(f"drive {plan.name}") as report:
             result = run_campaign(plan, out, self.pool, report, known)

@@ -48,6 +48,7 @@ from dsrc.closed_loop.perception.open import (
     open_perception,
     parse_perception,
 )
+from dsrc.closed_loop.perception.senses import sensed_every_s
 from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
 from dsrc.faults.condition import Disturbance, settled
@@ -494,14 +495,15 @@ def _files_of(scenario: Scenario) -> dict[str, str]:
     return {name: file_sha256(path) for name, path in paths.items() if path.is_absolute() and path.is_file()}
 
 
-def late_messages(plan: Campaign) -> Iterator[tuple[str, float, float]]:
-    """Yield name, delay, s, and age at the detection, s, of channels whose messages wait for the next detection."""
-    if any(_has_helpers(one) for one in plan.perceptions):
+def late_messages(plan: Campaign) -> Iterator[tuple[str, float, float, float]]:
+    """Yield name, delay, s, interval of measurements, s, and age, s, of channels whose messages are older than that."""
+    if any(_has_detector(one) and _has_helpers(one) for one in plan.perceptions):
         for name in plan.radios:
             delay_s = get_channel(name).delay_s
-            age_s = math.ceil(delay_s / plan.loop.detect_every_s - 1e-6) * plan.loop.detect_every_s
+            every_s = sensed_every_s(plan.loop.detect_every_s, at_once=delay_s == 0.0)
+            age_s = math.ceil(delay_s / every_s - 1e-6) * every_s
             if age_s > delay_s + 1e-9:
-                yield name, delay_s, age_s
+                yield name, delay_s, every_s, age_s
 
 
 def controls_of(plan: Campaign) -> Campaign | None:

@@ -18,11 +18,14 @@ from dsrc.closed_loop.campaign.plan import (
     read_campaign,
 )
 from dsrc.closed_loop.loop import LoopSettings
+from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.faults.fault import faults_text
 from dsrc.options.driving import DriveOptions
 from sim.errors import SettingsError
 from sim.files import file_sha256
+from sim.radio import get_channel
 from tests.dsrc.closed_loop.campaign.blind import PLAN
+from tests.dsrc.closed_loop.perception.toy import EGO, PLACES, SCENARIO, Knowing, build, instant
 
 
 def test_every_setting_has_a_cell_of_its_own() -> None:
@@ -313,13 +316,21 @@ def test_changes_of_the_radio_are_channels_of_their_own() -> None:
         campaign_of(DriveOptions(what="four_way", perception=("team",), loss=1.5))
 
 
-def test_messages_that_wait_for_the_next_detection_are_told() -> None:
-    def late(delay_s: float, every_s: float) -> list[tuple[str, float, float]]:
-        options = DriveOptions(what="four_way", perception=("team",), delay_s=delay_s, detect_every_s=every_s)
-        return list(late_messages(campaign_of(options)))
-
-    assert late(0.05, 0.2) == [("ideal,delay_s=0.05", 0.05, 0.2)]
-    assert late(0.2, 0.1) == late(0.0, 0.2) == []
+@pytest.mark.parametrize(("delay_s", "every_s"), [(0.05, 0.1), (0.05, 0.2), (0.15, 0.2), (0.1, 0.2), (0.0, 0.2)])
+def test_the_age_of_messages_that_wait_is_told_as_it_is_measured(
+    monkeypatch: pytest.MonkeyPatch, delay_s: float, every_s: float
+) -> None:
+    build(monkeypatch)
+    plan = campaign_of(DriveOptions(what="four_way", perception=("team",), delay_s=delay_s, detect_every_s=every_s))
+    channel = get_channel(plan.radios[0])
+    perception = DetectorPerception(Knowing(PLACES[2:]), channel=channel, interval_s=every_s)
+    perception.reset(SCENARIO, EGO, 0)
+    for step in range(8):
+        act = perception.overhear if step % round(every_s / 0.1) else perception.perceive
+        act(instant(step), instant(step + 1), {})
+    told = [age_s for *_, age_s in late_messages(plan)] or [delay_s]
+    (last,) = perception.perceive(instant(8), instant(9), {}).links
+    assert [last.age_s] == pytest.approx(told)
 
 
 def told(*fault: str, **options: Any) -> list[tuple[str, str, str, str]]:
