@@ -36,15 +36,20 @@ def run(page: str, begin: str, *less: str) -> str:
 
 
 def test_faults_are_composed(tmp_path: Path) -> None:
-    run("faults.md", "drive lta_truck", "--seed", "0", "--duration-s", "1")
-    driven = {(one.fault, one.channel) for one in read_baseline(tmp_path / "runs" / "faults")}
-    composed = "fog:4 from 1 s to 4 s on helpers + loss:0.5 from 2 s"
-    assert driven == {("", "ideal"), (composed, "ideal"), ("", "ideal,burst_loss=0.3,burst_s=1")}
+    run("faults.md", "drive lta_truck", "--seed", "0", "--duration-s", "4")
+    driven = {(one.fault, one.channel): one for one in read_baseline(tmp_path / "runs" / "faults")}
+    clean, composed = ("", "ideal"), ("fog:4 from 1 s to 4 s on helpers + loss:0.5 from 2 s", "ideal")
+    assert driven.keys() == {clean, composed, ("", "ideal,burst_loss=0.3,burst_s=1")}
+    received = {key: one.metrics["received_mb"] or 0.0 for key, one in driven.items()}
+    assert 0.0 < received[composed] < 0.9 * received[clean]
 
 
-def test_an_attack_meets_a_defence() -> None:
-    table = run("attacks.md", "drive ima_building", "--seed", "0", "--duration-s", "1")
+def test_an_attack_meets_a_defence(tmp_path: Path) -> None:
+    table = run("attacks.md", "drive ima_building", "--seed", "0", "--duration-s", "4", "--out", "attacked")
     assert "ghost:1 on -1" in table and "defended by" in table
+    lies = {one.defence: one.metrics for one in read_baseline(tmp_path / "attacked") if one.fault}
+    assert lies.keys() == {"", "free-space,trust"} and all(lie["false_told"] for lie in lies.values())
+    assert lies[""]["false_refused"] == 0.0 and lies["free-space,trust"]["false_refused"]
 
 
 @pytest.mark.parametrize("scenario", ["ima_queue", "eebl_chain"])
@@ -58,9 +63,9 @@ def test_an_encounter_is_mined_and_driven(tmp_path: Path) -> None:
     run("scenarios.md", "scenario mine", "--count", "1")
     (mined,) = (path.parent.name for path in (tmp_path / "mined").glob("*/scenario.toml"))
     assert mined.startswith("helsinki_")
-    run("scenarios.md", "drive mined", "--perception", "truth", "--duration-s", "1", "--out", "driven")
+    run("scenarios.md", "drive mined", "--perception", "truth", "--out", "driven")
     (driven,) = read_baseline(tmp_path / "driven")
-    assert Path(driven.scenario).name == mined
+    assert Path(driven.scenario).name == mined and driven.outcome == "arrived"
 
 
 def test_a_search_is_made(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from dsrc.closed_loop.report.cells import percent, share
 from sim.radio import IDEAL
 
 LIE_HEADS = (
-    *("perception", "attack", "defence", "episodes", "crashed", "needless stops", "arrived"),
+    *("perception", "attack", "defence", "episodes", "met", "crashed", "needless stops", "arrived"),
     *("attacks refused", "wrongly refused"),
 )
 
@@ -33,9 +33,10 @@ def _cells(group: Sequence[EpisodeResult]) -> tuple[str, ...]:
     )
     return (
         str(len(group)),
+        str(len(counted(group))),
         share(rate([collided(one) for one in counted(group)])),
         share(rate([float(metric(one, "needless_stops") > 0.0) for one in known])),
-        share(rate([arrived(one) for one in counted(group, failed=True)])),
+        share(rate([arrived(one) for one in group])),
         percent(refused.value) if refused.low != refused.low else share(refused),
         share(rate([1.0] * wronged + [0.0] * (helpers - wronged))),
     )

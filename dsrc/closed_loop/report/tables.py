@@ -395,11 +395,11 @@ def _hazards(results: Sequence[EpisodeResult]) -> Table:
 def _lies(result: CampaignResult) -> Table:
     """Table of what attacks did and what defences refused, of campaigns with either."""
     text = (
-        "Of the perceptions whose helpers tell boxes. Crashed: of the episodes that met their encounter. Needless "
-        "stops: episodes in which the ego came to stand for a road user that is not there. Attacks refused: of the "
-        "false objects told, those refused. Wrongly refused: of the helpers that did not lie, one each episode, those "
-        "of whom an object was refused. In brackets the interval of 95 %: Wilson's of shares of episodes and helpers, "
-        "bootstrap (BCa) over episodes of attacks refused."
+        "Of the perceptions whose helpers tell boxes. Met: episodes that met their encounter. Crashed: of these. "
+        "Needless stops: of all episodes, those in which the ego came to stand for a road user that is not there. "
+        "Arrived: of all episodes. Attacks refused: of the false objects told, those refused. Wrongly refused: of the "
+        "helpers that did not lie, one each episode, those of whom an object was refused. In brackets the interval of "
+        "95 %: Wilson's of shares of episodes and helpers, bootstrap (BCa) over episodes of attacks refused."
     )
     telling = {one.name for one in result.plan.perceptions if one.kind in TELLING}
     own = [one for one in result.results if one.perception in telling] if result.plan.lies else []

@@ -149,6 +149,7 @@ def test_attacks_and_defences_are_a_table_of_who_stopped_and_who_was_refused() -
     results = [
         one("team-sight", 0, "arrived", needless_stops=0.0),
         replace(one("team-sight", 0, "stuck", **stuck), fault="ghost:1"),
+        replace(one("team-sight", 1, "desynchronised", **stuck), fault="ghost:1"),
         *(
             replace(one("team-sight", seed, "arrived", **(lie | {"helpers_wronged": seed})), **defended)
             for seed in range(2)
@@ -156,9 +157,10 @@ def test_attacks_and_defences_are_a_table_of_who_stopped_and_who_was_refused() -
     ]
     heads, *rows = tables_of(*results, plan=plan)["lies"]
     cells = [dict(zip(heads, row, strict=True)) for row in rows]
-    assert [(row["attack"], row["defence"], row["episodes"]) for row in cells] == [
-        ("clean", "none", "1"), ("ghost:1", "none", "1"), ("ghost:1", "free-space, motion", "2"),
+    assert [(row["attack"], row["defence"], row["episodes"], row["met"]) for row in cells] == [
+        ("clean", "none", "1", "1"), ("ghost:1", "none", "2", "1"), ("ghost:1", "free-space, motion", "2", "2"),
     ]  # fmt: skip
+    assert [row["arrived"] for row in cells] == ["100 % [21, 100]", "0 % [0, 66]", "100 % [34, 100]"]
     assert [row["needless stops"].partition(" [")[0] for row in cells] == ["0 %", "100 %", "0 %"]
     assert [row["attacks refused"].partition(" [")[0] for row in cells] == ["", "0 %", "50 %"]
     assert [row["wrongly refused"].partition(" [")[0] for row in cells] == ["", "0 %", "50 %"]
