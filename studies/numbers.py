@@ -249,14 +249,18 @@ def _compared(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult], va
     matched = pairs(ours, theirs)
     clusters = [(one.scenario, one.seed) for one, _ in matched]
     found = paired_rates(*([value(pair[side]) for pair in matched] for side in (0, 1)), clusters=clusters)
-    chance = "p < 0.001" if found.p_value < 0.001 else f"p = {found.p_value:.3f}"
-    return f"{found.only_first} against {found.only_second} of {len(matched)}, {chance}"
+    return f"{found.only_first} against {found.only_second} of {len(matched)}, {_chance(found)}"
+
+
+def _chance(found: PairedRates) -> str:
+    return "p < 0.001" if found.p_value < 0.001 else f"p = {found.p_value:.3f}"
 
 
 def _cooperation() -> Iterator[tuple[str, str]]:
     """Yield what eyes give to a driver: crashes, and time and braking where it arrives with all of its eyes.
 
-    `_against`: crashes of one side only, in pairs with the driver's first eyes; `_kbps`: what helpers send, kB/s.
+    `_against`: crashes of one side only, in pairs with the driver's first eyes; `_encounters`: those with a crash;
+    `_elsewhere`: without `eebl_chain`, where most crashes of who anticipates are; `_kbps`: what helpers send, kB/s.
     Eyes without a name are the first of their campaign alone, since another one yields their numbers.
     """
     for plan, eyes in (
@@ -280,9 +284,14 @@ def _cooperation() -> Iterator[tuple[str, str]]:
                     continue
                 key = f"{name}_{driver}" if driver else name
                 yield f"{key}_crash", _count(met)
+                elsewhere = [one for one in met if one.scenario != "eebl_chain"]
+                yield f"{key}_elsewhere", _count(elsewhere)
+                places = {one.scenario for one in met if collided(one)}
+                yield f"{key}_encounters", f"{len(places)} of {len({one.scenario for one in met})}"
                 if perception != first:
                     theirs = [one for one in common if one.perception == f"{first}{more}"]
                     yield f"{key}_against", _compared(met, theirs, collided)
+                    yield f"{key}_against_elsewhere", _compared(elsewhere, theirs, collided)
                 sent, lasted = (sum(one.metrics[what] or 0.0 for one in met) for what in ("sent_mb", "duration_s"))
                 yield f"{key}_kbps", f"{1e3 * sent / lasted:.3g}"
                 if label in rows:
@@ -295,14 +304,14 @@ def _points(found: PairedRates) -> str:
     value, low, high = (
         f"{100.0 * one:.0f}" for one in (found.difference.value, found.difference.low, found.difference.high)
     )
-    return f"{value} [{low}, {high}], p = {found.p_value:.3f}"
+    return f"{value} [{low}, {high}], {_chance(found)}"
 
 
 def _faulty() -> Iterator[tuple[str, str]]:
-    """Yield the crashes of each driver under the composed fault and in the same episodes without it, and differences.
+    """Yield crashes and arrivals of each driver under the composed fault and in the same episodes without it.
 
-    `_less`: crashes under it, less those of the ego alone; `_harm` and `_arrivals`: crashes and arrivals with it, less
-    those without it.
+    `_less` and `_arrivals_less`: crashes and arrivals under it, less those of the ego alone; `_harm` and `_arrivals`:
+    crashes and arrivals with it, less those without it.
     """
     common = parts_of(committed(LOOP / "cooperation-faults.toml")[1])[0]
     for eyes in ("ego", "team", "late"):
@@ -312,6 +321,11 @@ def _faulty() -> Iterator[tuple[str, str]]:
             key = f"faulty_{eyes}_{driver}" if driver else f"faulty_{eyes}"
             yield f"{key}_clean", _count(counted([one for one in own if one.clean]))
             yield f"{key}_crash", _count(counted([one for one in own if not one.clean]))
+            for what, clean in (("arrived_clean", True), ("arrived", False)):
+                met = counted([one for one in own if one.clean == clean], failed=True)
+                yield f"{key}_{what}", f"{sum(map(arrived, met)):.0f} of {len(met)}"
+                speed = what.replace("arrived", "speed")
+                yield f"{key}_{speed}", f"{sum(one.metrics['mean_speed_mps'] or 0.0 for one in met) / len(met):.1f}"
             alone = {
                 (one.scenario, one.seed): one
                 for one in common
@@ -320,9 +334,12 @@ def _faulty() -> Iterator[tuple[str, str]]:
             before = {(one.scenario, one.seed): one for one in own if one.clean}
             for what, others, value in (
                 ("less", alone, collided),
+                ("arrivals_less", alone, arrived),
                 ("harm", before, collided),
                 ("arrivals", before, arrived),
             ):
+                if others is alone and eyes == "ego":
+                    continue
                 both = [(one, others[one.scenario, one.seed]) for one in own if not one.clean]
                 places = [(one.scenario, one.seed) for one, _ in both]
                 sides = ([value(pair[side]) for pair in both] for side in (0, 1))
