@@ -4,7 +4,8 @@ import re
 import tomllib
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -19,6 +20,8 @@ Settings = TypeVar("Settings", bound=msgspec.Struct)
 _PLACE = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<field>.*)`)?$", re.DOTALL)
 _FIELD_FIRST = re.compile(r"[\w.\[\]]+: ")
 _ABSENT = re.compile(r"Object missing required field `(?P<name>.*)`")
+_SAID = {"float | array": "a number, or [low, high]"}
+"""What a user reads in place of msgspec's words."""
 
 
 def read_toml(
@@ -108,31 +111,50 @@ def convert(
         raise error(_explain(wrong, raw, kind, where, field)) from None
 
 
-def _unknown_keys(raw: object, kind: object, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
+def _alternatives(kind: Any) -> Iterator[Any]:
+    """Yield a type without its annotations, or those of a union of types."""
+    if get_origin(kind) is Annotated:
+        yield from _alternatives(get_args(kind)[0])
+    elif get_origin(kind) in (Union, UnionType):
+        for one in get_args(kind):
+            yield from _alternatives(one)
+    else:
+        yield kind
+
+
+def _below(kind: Any, key: str | int) -> Iterator[Any]:
+    """Yield the types that a value of a type may have below a key or an index."""
+    for one in _alternatives(kind):
+        origin, inner = get_origin(one), get_args(one)
+        if origin is dict:
+            yield from _alternatives(inner[1])
+        elif origin is tuple and str(key).isdigit():
+            yield from _alternatives(inner[0] if inner[1:] == (...,) else inner[min(int(key), len(inner) - 1)])
+        elif _is_struct(one) and key in (hints := get_type_hints(one)):
+            yield from _alternatives(hints[str(key)])
+
+
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _unknown_keys(raw: object, kind: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple, Any]]:
     """Yield ((path of keys), struct) for every key unknown to the struct of its table."""
-    if isinstance(raw, list) and get_origin(kind) is tuple:
-        for index, item in enumerate(raw):
-            yield from _unknown_keys(item, get_args(kind)[0], (*where, index))
-    if isinstance(raw, dict) and get_origin(kind) is dict:
-        for key, item in raw.items():
-            yield from _unknown_keys(item, get_args(kind)[1], (*where, key))
-    if not isinstance(raw, dict) or not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
-        return
-    hints = get_type_hints(kind)
-    for key, value in raw.items():
-        if key not in hints:
-            yield (*where, key), kind
-        else:
-            yield from _unknown_keys(value, hints[key], (*where, key))
+    known = next((one for one in _alternatives(kind) if _is_struct(one)), None)
+    items = raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list) else ()
+    for key, value in items:
+        if isinstance(raw, dict) and known is not None and key not in known.__struct_fields__:
+            yield (*where, key), known
+        for below in _below(kind, key):
+            yield from _unknown_keys(value, below, (*where, key))
 
 
 def _explain(wrong: msgspec.ValidationError, raw: object, kind: object, where: Path | str, outer: str) -> str:
     """Return the one-line form of a msgspec message such as `Expected X, got Y - at `$.a.b[0]``."""
-    message = str(wrong)
-    place = _PLACE.match(_named(raw, kind) or message if "[...]" in message else message)
+    place = _PLACE.match(_named(str(wrong), raw, kind))
     assert place is not None  # it matches every text
     what, below = place["what"], (place["field"] or "").replace("[...]", "")
-    keys = [key for key in below.replace("[", ".").replace("]", "").split(".") if key]
+    keys = _keys(below)
     field = f"{outer}{below}".lstrip(".")
     if absent := _ABSENT.match(what):
         return complaint(where, f"{field}.{absent['name']}".lstrip("."), "a value", "nothing")
@@ -140,11 +162,15 @@ def _explain(wrong: msgspec.ValidationError, raw: object, kind: object, where: P
     if what.startswith("Invalid enum value"):
         return complaint(where, shown, f"one of {', '.join(map(str, _choices(kind, keys)))}", _found(raw, keys))
     if what.startswith("Expected "):
-        expected = what.removeprefix("Expected ").split(", got")[0].replace("`", "")
-        return complaint(where, shown, expected, _found(raw, keys))
+        expected = what.removeprefix("Expected ").split(", got")[0].replace("`", "").removesuffix(" | null")
+        return complaint(where, shown, _SAID.get(expected, expected), _found(raw, keys))
     # A struct's own check begins with the name of its field.
     between = "." if _FIELD_FIRST.match(what) else ": "
     return f"{where}: {one_line(f'{field}{between}{what}' if field else what, 400)}"
+
+
+def _keys(place: str) -> list[str]:
+    return [key for key in place.replace("[", ".").replace("]", "").split(".") if key]
 
 
 def _found(raw: object, keys: Iterable[str]) -> object:
@@ -156,30 +182,32 @@ def _found(raw: object, keys: Iterable[str]) -> object:
     return raw
 
 
-def _named(raw: object, kind: Any) -> str:
-    """Return msgspec's message of an error below a table of tables, with its key in place of `[...]`; "" elsewhere."""
-    if not isinstance(raw, dict) or not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
-        return ""
-    for name, hint in get_type_hints(kind).items():
-        below = raw.get(name)
-        if get_origin(hint) is dict and isinstance(below, dict):
-            for key, item in below.items():
-                try:
-                    msgspec.convert(item, get_args(hint)[1], strict=True)
-                except msgspec.ValidationError as wrong:
-                    text, _, pointer = str(wrong).partition(" - at ")
-                    return f"{text} - at `$.{name}.{key}{pointer.strip('`').removeprefix('$')}`"
-    return ""
+def _types_at(kind: object, keys: Iterable[str]) -> list[Any]:
+    """Return the types that the value at a place may have."""
+    found = list(_alternatives(kind))
+    for key in keys:
+        found = [below for one in found for below in _below(one, key)]
+    return found
+
+
+def _named(message: str, raw: object, kind: object) -> str:
+    """Return msgspec's message with the key of the wrong item of a table in place of `[...]`."""
+    head, cut, _ = message.partition("[...]")
+    if not cut:
+        return message
+    place = head.partition(" - at `$")[2]
+    table = _found(raw, _keys(place))
+    for one in _types_at(kind, _keys(place)):
+        for key, item in table.items() if isinstance(table, dict) and get_origin(one) is dict else ():
+            try:
+                msgspec.convert(item, get_args(one)[1], strict=True)
+            except msgspec.ValidationError as wrong:
+                text, _, pointer = _named(str(wrong), item, get_args(one)[1]).partition(" - at `$")
+                return f"{text} - at `${place}.{key}{pointer.removesuffix('`')}`"
+    return message
 
 
 def _choices(kind: object, keys: Iterable[str]) -> tuple:
-    """Return the values of a `Literal` below a type, those of the items of a tuple or dict included."""
-    for key in keys:
-        while get_origin(kind) in (Annotated, tuple, dict):
-            kind = get_args(kind)[get_origin(kind) is dict]
-        if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-            kind = get_type_hints(kind).get(key, kind)
-    while get_origin(kind) in (Annotated, tuple, dict):
-        kind = get_args(kind)[get_origin(kind) is dict]
-    literals = [one for one in (kind, *get_args(kind)) if get_origin(one) is Literal]
+    """Return the values of a `Literal` at a place."""
+    literals = [one for one in _types_at(kind, keys) if get_origin(one) is Literal]
     return get_args(literals[0]) if literals else ()

@@ -208,7 +208,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
         scenario, rows = load_scenario(self.scenario), list[Sequence[object]]()
         head: tuple[str, ...] = ("scenario", "seed", "can be driven and recorded")
         for seed in self.seed or (scenario.seed,):
-            check_scenario(scenario, seed)
+            check_scenario(self.scenario, seed)
             if scenario.conflict is None:
                 rows.append((scenario.name, seed, "yes"))
                 continue

@@ -31,16 +31,20 @@ def check_scenario(scenario: Scenario | str | Path, seed: int | None = None) -> 
         seed: of everything random; None for the scenario's.
 
     Raises:
-        ScenarioError: one line per failure.
+        ScenarioError: one line per failure, which begins with the file where `scenario` is one.
     """
-    name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
+    given = scenario.name if isinstance(scenario, Scenario) else str(scenario)
+    place = given if Path(given).exists() else f"scenario '{given}'"
+    name = given
     try:
         loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+        name = loaded.name
         failures = list(_failures(loaded, loaded.seed if seed is None else seed))
     except UserError as error:  # a part that cannot be made has its own line
         failures = [str(error)]
     if failures:
-        raise ScenarioError("\n".join(f"scenario '{name}': {line}" for line in failures))
+        lines = (line.removeprefix(f"{name}: ") for line in failures)
+        raise ScenarioError("\n".join(line if line.startswith(place) else f"{place}: {line}" for line in lines))
 
 
 def _failures(scenario: Scenario, seed: int) -> Iterator[str]:

@@ -1,5 +1,6 @@
 """Registration and contract check of scenarios."""
 
+import re
 import shutil
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -64,10 +65,25 @@ def test_a_shipped_scenario_passes() -> None:
 def test_a_part_that_cannot_be_made_is_one_line() -> None:
     scenario = load_scenario("four_way")
     wrong = msgspec.structs.replace(scenario, agents=msgspec.structs.replace(scenario.agents, lidar="nothing"))
-    with pytest.raises(ScenarioError, match=r"^scenario 'four_way': four_way: agents\.lidar: [^\n]*$"):
+    with pytest.raises(ScenarioError, match=r"^scenario 'four_way': agents\.lidar: [^\n]*$"):
         check_scenario(wrong)
     with pytest.raises(ScenarioError, match="unknown scenario 'nowhere'"):
         check_scenario("nowhere")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('lidar = "opv2v-64"', 'lidar = "nothing"', r"agents\.lidar: "),
+        ("[agents]", "[agents]\ncolour = 1", r"agents: expected known keys only, found key 'colour'"),
+    ],
+)
+def test_a_failure_of_a_file_begins_with_the_file_alone(town: Path, old: str, new: str, said: str) -> None:
+    file = town / "scenario.toml"
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(ScenarioError, match=rf"^{re.escape(str(file))}: {said}[^\n]*$"):
+        check_scenario(file)
 
 
 def test_traffic_that_differs_from_run_to_run_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
