@@ -93,6 +93,12 @@ def one_line(value: object, most: int) -> str:
     return cut if len(cut) <= most and len(text) <= 4 * most else cut[: most - 3] + "..."
 
 
+def raised_text(error: BaseException) -> str:
+    """Return the one line of what someone's code raised: with its class, but for what a user can cause."""
+    said = one_line(error, 1000)
+    return said if isinstance(error, UserError) else f"{type(error).__name__}: {said}"
+
+
 class _Short(reprlib.Repr):
     """Representation of a value in bounded time: a bomb of aliases or a number of 5,000 digits is not written out."""
 

@@ -7,6 +7,7 @@ import numpy as np
 from dsrc.closed_loop.types import Tick
 from sim.encounters import encounter_of
 from sim.scenario import Scenario
+from sim.traffic.script import actor_ids
 
 LATE_S = 1.0
 """Difference of arrival at the conflict, when its actor no longer waits, from which on an encounter is lost, s."""
@@ -22,6 +23,13 @@ def conflict_class(scenario: Scenario, seed: int) -> str:
         return ""
     actors = encounter_of(scenario, seed).layout.actors
     return next((one.kind.label for one in actors if "conflict" in one.roles), "")
+
+
+def encounter_agents(scenario: Scenario, seed: int) -> tuple[int, ...]:
+    """Return the ids of the agents of a scenario with its proven encounter: vehicles, ego first, and roadside units."""
+    ids = actor_ids(encounter_of(scenario, seed).layout.actors)
+    rule = scenario.agents
+    return (*(ids[name] for name in rule.named if name in ids), *range(-1, -len(rule.roadside) - 1, -1))
 
 
 def lost_encounter(ticks: Sequence[Tick], ego_id: int, conflict_id: int, gap_s: float) -> bool:

@@ -29,7 +29,7 @@ from sensors.recording.encounter_check import CONFLICT_ID, with_proven_encounter
 from sensors.recording.static_scene import solid_world
 from sim.catalog.load import load_scenario
 from sim.contact import Contact, SolidWorld, first_contact, world_contact
-from sim.errors import SettingsError, TrafficError, UserError, complaint
+from sim.errors import SettingsError, TrafficError, UserError, complaint, raised_text
 from sim.scenario import Scenario
 from sim.traffic.base import Actors, DrivableTraffic
 from sim.world.standing import open_standing
@@ -110,7 +110,7 @@ class PerceptionClock:
         except UserError:
             raise
         except Exception as error:  # a perception of one's own may raise anything, and the campaign goes on
-            self.failure = _one_line(error)
+            self.failure = raised_text(error)
 
     def percept(self, before: Actors, now: Actors, claims: dict[str, Actors], ego: EgoState) -> Percept | None:
         """Return the percept that arrives at the next step: of this instant, or of an earlier one with a latency.
@@ -128,7 +128,7 @@ class PerceptionClock:
                     aim(ego)
                 percept = checked_percept(self._perception.perceive(before, now, claims), now.time_s)
             except Exception as error:  # as in `begin`
-                self.failure = _one_line(error)
+                self.failure = raised_text(error)
                 return None
             if (took_s := time.perf_counter() - began) > self._settings.perception_limit_s:
                 self.failure = f"took {took_s:.0f} s, limit {self._settings.perception_limit_s:g} s"
@@ -143,7 +143,7 @@ class PerceptionClock:
             try:
                 overhear(before, now, claims)
             except Exception as error:  # as in `begin`
-                self.failure = _one_line(error)
+                self.failure = raised_text(error)
         self._steps += 1
         there = [now.time_s - percept.time_s >= latency_s - 1e-6 for latency_s, percept in self._waiting]
         if not any(there):
@@ -451,10 +451,6 @@ def checked_percept(percept: Percept, now_s: float) -> Percept:
         found = f"{percept.velocity.shape} or others"
         raise ValueError(f"expected velocities of shape {(n, 2)}, NaN or finite, found {found}")
     return percept
-
-
-def _one_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _agreed(perception: Perception, settings: LoopSettings) -> LoopSettings:

@@ -65,7 +65,7 @@ class ScriptedTraffic(DrivableTraffic):
         self._placed: dict[int, tuple[float, float, float, float]] = {}
         claimed = [ghost.actor for ghost in self._instance.ghosts]
         actors = self._instance.layout.actors
-        ids = _ids(actors)
+        ids = actor_ids(actors)
         self._movers = [self._start(one, ids[one.name]) for one in actors]
         self._ghosts = [self._start(one, FIRST_ID + 900 + row) for row, one in enumerate(claimed)]
         self._ego = self._movers[0]
@@ -320,7 +320,7 @@ class ScriptedTraffic(DrivableTraffic):
         return bits | SIGNALS["hazard lights"] if mover.crashed else bits
 
 
-def _ids(actors: tuple[ScriptedActor, ...]) -> dict[str, int]:
+def actor_ids(actors: tuple[ScriptedActor, ...]) -> dict[str, int]:
     """Return the object ids of actors; the ego and the conflict actor have the same ids in all controls."""
     others = [one.name for one in actors if one.name not in ("ego", "conflict")]
     return {"ego": FIRST_ID, "conflict": FIRST_ID + 1} | {name: FIRST_ID + 2 + k for k, name in enumerate(others)}

@@ -3,7 +3,14 @@
 import pytest
 
 import dsrc
-from sim.errors import GOES, warn_deprecated
+from sim.errors import GOES, SettingsError, raised_text, warn_deprecated
+
+
+def test_what_was_raised_has_its_class_unless_a_user_caused_it() -> None:
+    assert (
+        raised_text(SettingsError("drive: seed: expected one,\nfound none")) == "drive: seed: expected one, found none"
+    )
+    assert raised_text(RuntimeError("no weights")) == "RuntimeError: no weights"
 
 
 def test_a_deprecated_name_tells_the_new_one_and_the_date() -> None:

@@ -34,6 +34,7 @@ from msgspec.structs import replace
 
 from dsrc.closed_loop.campaign.episode import EpisodeJob
 from dsrc.closed_loop.driving.open import driver_sha256, open_driver
+from dsrc.closed_loop.encounter import encounter_agents
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.error_model.model import read_model
 from dsrc.closed_loop.perception.open import (
@@ -59,6 +60,7 @@ from dsrc.options.driving import DriveOptions
 from dsrc.options.fields import RENAMED, changed_radios
 from dsrc.options.told import NO_DEFENCE
 from sensors.corruptions import CLEAN, EVERYONE, PAPER_TABLE, Condition, Family, conditions_of
+from sensors.recording.encounter_check import with_proven_encounter
 from sim.catalog.load import load_scenario, scenarios_in
 from sim.encounters import ENCOUNTERS
 from sim.errors import SettingsError, complaint, option
@@ -373,6 +375,7 @@ def check(plan: Campaign, where: str) -> None:
     conditions_of(plan.corruption, plan.severity, (plan.family,), plan.corrupted_agents, where)
     _check_faults(plan, where)
     _check_defences(plan, where)
+    _check_agents(plan, where)
     if plan.loop.look_ahead_s and not any(_has_detector(one) for one in plan.perceptions):
         expected = f"0 with perception '{plan.perceptions[0].name}', which has no detector whose range could be shifted"
         raise SettingsError(complaint(where, "look_ahead_s", expected, f"{plan.loop.look_ahead_s:g}"))
@@ -440,6 +443,25 @@ def _check_defences(plan: Campaign, where: str) -> None:
     if set(found) - {NO_DEFENCE} and not any(one.kind in TELLING for one in plan.perceptions):
         names = ", ".join(one.name for one in plan.perceptions)
         raise SettingsError(complaint(where, f"defence '{plan.defence[0]}'", WHO_TELLS, names))
+
+
+def _check_agents(plan: Campaign, where: str) -> None:
+    """Raise SettingsError for an id of a fault or corruption that is an agent in no episode.
+
+    Only the agents of encounters are known before the traffic runs.
+    """
+    asked = {"corrupted_agents": plan.conditions[-1].agents} if len(plan.conditions) > 1 else {}
+    asked |= {f"fault '{one.text}'": one.agents for text in plan.fault for one in parse_faults(text, where)}
+    named = [(field, one) for field, agents in asked.items() if not isinstance(agents, str) for one in agents]
+    agents: set[int] = set()
+    for name, seed in product(plan.scenarios, dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)])):
+        if not named or (scenario := load_scenario(name)).conflict is None:
+            return
+        agents |= set(encounter_agents(with_proven_encounter(scenario, seed), seed))
+        named = [(field, one) for field, one in named if one not in agents]
+    for field, unknown in named:
+        listed = ", ".join(map(str, sorted(agents, key=lambda one: (one < 0, abs(one)))))
+        raise SettingsError(complaint(where, field, f"ids among the agents {listed}", unknown))
 
 
 def episodes_of(plan: Campaign) -> list[EpisodeJob]:

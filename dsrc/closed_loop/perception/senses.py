@@ -108,7 +108,8 @@ class Senses:
         """Raise SettingsError for an id that is no agent, or faults of one kind on one agent at once."""
         fields = {f"fault '{one.text}'": one.agents for one in self._named} if self.cooperative else {}
         if self.cooperative:
-            fields["corrupted_agents"] = self.condition.agents
+            # A fault that is there all the time may be said as the condition.
+            fields |= {f"fault '{Fault.of(self.condition).text}'": self.condition.agents}
         expected = f"ids among the agents {list(self.agents)}"
         for field, named in fields.items():
             for unknown in () if isinstance(named, str) else (one for one in named if one not in self.agents):

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from dsrc.closed_loop.types import Decision, Driver, EgoState, LaneMap, Percept, Tracks
-from sim.errors import one_line
+from sim.errors import one_line, raised_text
 
 _T = TypeVar("_T")
 _STRONGEST_MPS2 = 1e6
@@ -57,7 +57,7 @@ class CheckedDriver:
         try:
             found = call()
         except (Exception, SystemExit) as error:  # a driver of one's own may raise anything, and the campaign goes on
-            self.failure = f"{type(error).__name__}: {one_line(error, 1000)}"
+            self.failure = raised_text(error)
             return None
         if (took_s := time.perf_counter() - began) > self._limit_s:
             self.failure = f"took {took_s:.3g} s, limit {self._limit_s:g} s"

@@ -17,13 +17,19 @@ from dsrc.closed_loop.campaign.plan import (
     late_messages,
     read_campaign,
 )
+from dsrc.closed_loop.ego import choose_ego
+from dsrc.closed_loop.encounter import encounter_agents
 from dsrc.closed_loop.loop import LoopSettings
 from dsrc.closed_loop.perception.detector import DetectorPerception
 from dsrc.faults.fault import faults_text
 from dsrc.options.driving import DriveOptions
+from sensors.recording.agent_selection import nearest_agents
+from sensors.recording.encounter_check import with_proven_encounter
+from sim.catalog.load import load_scenario
 from sim.errors import SettingsError
 from sim.files import file_sha256
 from sim.radio import get_channel
+from sim.world.standing import open_standing
 from tests.dsrc.closed_loop.campaign.blind import PLAN
 from tests.dsrc.closed_loop.perception.toy import EGO, PLACES, SCENARIO, Knowing, build, instant
 
@@ -390,6 +396,31 @@ def test_a_fault_that_an_option_can_say_is_the_same_episode() -> None:
 def test_a_fault_that_is_wrong_or_there_already_is_told(options: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         campaign_of(DriveOptions(**{"what": "ima_building", "perception": ("team",), **options}))
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"fault": ("fog:3 on 4711",)}, "fault 'fog:3 on 4711'"),
+        ({"fault": ("fog:3 on 1003 + loss:1 from 2 s on 1002,4711",)}, "fault 'loss:1 from 2 s on 1002,4711'"),
+        ({"corruption": ("fog",), "corrupted_agents": "-1,4711"}, "corrupted_agents"),
+    ],
+)
+def test_an_agent_that_no_encounter_of_a_plan_has_is_told_before_driving(options: dict[str, Any], field: str) -> None:
+    asked = DriveOptions(what="lta_truck", perception=("team",), seed=(0, 1), **options)
+    message = f"^drive: {field}: expected ids among the agents 1000, 1002, 1003, -1, found 4711$"
+    with pytest.raises(SettingsError, match=message):
+        campaign_of(asked)
+    campaign_of(replace(asked, what="four_way"))  # whose vehicles are known when it is driven
+
+
+def test_the_agents_of_an_encounter_are_those_of_its_episodes() -> None:
+    for name in ("lta_truck", "stalled_after_curve:no_conflict"):
+        scenario = with_proven_encounter(load_scenario(name), 1)
+        with open_standing(scenario, 1) as traffic:
+            carriers = nearest_agents(traffic.actors, scenario, choose_ego(traffic, scenario))
+        units = [-1 - row for row in range(len(scenario.agents.roadside))]
+        assert list(encounter_agents(scenario, 1)) == [*carriers, *units]
 
 
 def test_a_plan_says_faults_in_the_same_words(tmp_path: Path) -> None:

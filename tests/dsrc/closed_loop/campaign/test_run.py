@@ -377,7 +377,8 @@ def test_an_agent_that_does_not_exist_fails_its_episode(tmp_path: Path) -> None:
         loop=LoopSettings(duration_s=0.5),
     )
     (row,) = (one for one in run_campaign(plan, tmp_path).results if not one.clean)
-    assert row.outcome == "perception failed" and re.search("expected ids .* found 999999", row.message)
+    assert row.outcome == "perception failed"
+    assert re.match(r"perception: fault 'fog:3 on 999999': expected ids .* found 999999$", row.message)
 
 
 def test_a_log_is_not_repeated_by_another_detector(driven: Path, tmp_path: Path) -> None:

@@ -203,7 +203,7 @@ def test_a_corrupted_id_may_leave_but_not_be_unknown() -> None:
     unknown = Senses(Condition("fog", 3, agents=(1777,)), cooperative=True)
     unknown.reset(SCENARIO, EGO, 0)
     with pytest.raises(
-        SettingsError, match=r"corrupted_agents: expected ids among the agents \[1000, 1001\], found 1777"
+        SettingsError, match=r"fault '.* on 1777': expected ids among the agents \[1000, 1001\], found 1777"
     ):
         unknown.frame(instant(0), instant(1), {})
 
