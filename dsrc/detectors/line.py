@@ -22,10 +22,13 @@ from numpy.typing import NDArray
 
 from dsrc.detectors.message import Failure, Header, Message, T, decode, encode
 from dsrc.detectors.texts import command_of
-from sim.errors import DataError, SettingsError, complaint, one_line
+from sim.errors import DataError, SettingsError, complaint, notice, one_line
 from sim.files import file_sha256
+from sim.settings import convert
 
 _END_S = 2.0
+_TOLD_S = 5.0
+"""Time from which on a user is told that an answer is waited for, s."""
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 
 
@@ -95,18 +98,22 @@ class ProcessLine:
         self, question: Mapping[str, object], arrays: Mapping[str, NDArray[Any]], kind: type[T], answer_s: float
     ) -> tuple[T, Message]:
         self._answer_s, deadline = answer_s, time.monotonic() + answer_s
+        asked = f"answer to {question['type']}"
         self._write(encode(question, arrays), deadline)
         try:
             answer = decode(lambda count: self._read(count, deadline))
             said = answer.read(Header).type
             if said == "error":
-                message = answer.read(Failure).message
+                message = self._header(answer, Failure, asked).message
                 raise DataError(f"{self.text}: the {self._what} says: {one_line(message, 500) or 'an error'}")
             if said != kind.SAID:
                 raise ValueError(f"type: expected {kind.SAID}, found {one_line(said, 40)}")
-            return answer.read(kind), answer
-        except (ValueError, UnicodeDecodeError) as error:
-            raise self.wrong(f"answer to {question['type']}", "a message", one_line(error, 500)) from None
+            return self._header(answer, kind, asked), answer
+        except ValueError as error:  # it says what was expected
+            raise DataError(f"{one_line(self.text, 500)}: {asked}: {one_line(error, 500)}") from None
+
+    def _header(self, answer: Message, kind: type[T], asked: str) -> T:
+        return convert(msgspec.json.decode(answer.header), kind, one_line(self.text, 500), DataError, field=asked)
 
     def _write(self, content: bytes, deadline: float) -> None:
         rest = memoryview(content)
@@ -137,6 +144,8 @@ class ProcessLine:
     def _wait(self, handle: int, event: int, deadline: float, begun: bytes = b"") -> None:
         poll = select.poll()
         poll.register(handle, event)
+        if deadline - time.monotonic() > _TOLD_S and not poll.poll(_TOLD_S * 1e3):
+            notice(f"{one_line(self.text, 500)}: no answer yet, which may take up to {self._answer_s:g} s")
         if not poll.poll(max(deadline - time.monotonic(), 0.0) * 1e3):
             after = f" after {begun!r}" if begun else ""
             raise self.wrong("answer", f"one within {self._answer_s:g} s", f"none{after}")

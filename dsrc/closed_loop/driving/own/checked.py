@@ -73,12 +73,15 @@ def checked_decision(found: Any) -> Decision:
 
     Raises:
         TypeError: it is something else, or its reason or track is.
-        ValueError: the acceleration is not finite, or the steering beyond what wheels turn.
+        ValueError: the acceleration is not finite or a slip of units, or the steering beyond what wheels turn.
     """
     if not isinstance(found, Decision):
         raise TypeError(f"decide: expected a Decision, found {type(found).__name__}")
-    if not math.isfinite(found.acceleration_mps2) or abs(found.acceleration_mps2) > _STRONGEST_MPS2:
+    if not math.isfinite(found.acceleration_mps2):
         raise ValueError(f"decide: expected a finite acceleration, found {found.acceleration_mps2}")
+    if abs(found.acceleration_mps2) > _STRONGEST_MPS2:
+        expected = f"an acceleration of at most {_STRONGEST_MPS2:g} m/s2 either way"
+        raise ValueError(f"decide: expected {expected}, found {found.acceleration_mps2:g}")
     if found.steering_rad is not None and not abs(found.steering_rad) <= _STRONGEST_RAD:
         expected = f"steering up to {_STRONGEST_RAD} rad"
         raise ValueError(f"decide: expected {expected}, found {found.steering_rad}")

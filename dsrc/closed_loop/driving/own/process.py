@@ -42,8 +42,8 @@ from dsrc.detectors.message import PROTOCOL, Header
 from dsrc.messages.seen_space import SeenSpace
 from sim.boxes import CLASSES
 
-START_S = 300.0
-"""Longest time to the first answer, which may load weights, s."""
+START_S = 60.0
+"""Longest time to the first answer, s."""
 
 
 class _Hello(Header, frozen=True, kw_only=True):

@@ -106,13 +106,20 @@ decide(-1.0, reason="yield", track=int(arrays["track"][0]) if len(arrays["track"
         ),
         ("if steps == 3: time.sleep(600)\ndecide(0.0)", "answer: expected one within 1 s, found none"),
         ("decide(float('nan'))", "decide: expected a finite acceleration, found nan"),
-        ("decide(0.0, reason='x' * 50)", "answer to decide: expected a message, found Expected `str` of length <= 40"),
+        ("decide(0.0, reason='x' * 50)", r"answer to decide\.reason: expected str of length <= 40, found x{50}$"),
         ("write({'type': 'decision'})", r"decision: expected floats of shape \(1,\) or \(2,\), found none"),
         ("write({'type': 'boxes'})", "type: expected decision, found boxes"),
         ("write({'type': 'error', 'message': 'CUDA\\nout of memory'})", "the driver says: CUDA out of memory"),
-        ("os.write(1, b'Epoch 1 of 300')", "begins with DSRC, found b'Epoch 1 '"),
+        (
+            "os.write(1, b'Epoch 1 of 300')",
+            r"drive\.py: answer to decide: expected a message that begins with DSRC, found b'Epoch 1 '$",
+        ),
+        (
+            "decide(1e9)",
+            r"^ValueError: decide: expected an acceleration of at most 1e\+06 m/s2 either way, found 1e\+09$",
+        ),
     ],
-    ids=["dies", "hangs", "nan", "long reason", "no array", "detector's answer", "error", "prints"],
+    ids=["dies", "hangs", "nan", "long reason", "no array", "detector's answer", "error", "prints", "units"],
 )
 def test_a_process_that_fails_ends_the_episode_with_its_reason(code: str, words: str, tmp_path: Path) -> None:
     loop = drive(program(tmp_path, code), limit_s=1.0)
@@ -120,6 +127,18 @@ def test_a_process_that_fails_ends_the_episode_with_its_reason(code: str, words:
     with pytest.raises(ValueError, match=words):
         raise ValueError(loop.message)
     assert "\n" not in loop.message and loop.log(driver="toy").outcome is Outcome.DRIVER_FAILED
+
+
+def test_a_process_that_never_says_hello_is_told_of_and_then_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "asleep.py"
+    path.write_text("import time\ntime.sleep(600)\n")
+    monkeypatch.setattr("dsrc.closed_loop.driving.own.process.START_S", 0.4)
+    monkeypatch.setattr("dsrc.detectors.line._TOLD_S", 0.2)
+    with pytest.raises(DataError, match=r"asleep\.py: answer: expected one within 0\.4 s, found none$"):
+        open_driver(f"pipe:{sys.executable} {path}", 0.1)
+    assert "asleep.py: no answer yet, which may take up to 0.4 s" in caplog.text
 
 
 def test_an_answer_that_comes_late_is_a_failure(tmp_path: Path) -> None:
@@ -167,7 +186,7 @@ def test_what_is_no_driver_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="a driver that listens"):
         open_driver("tcp://localhost:1")
     detector = f"pipe:{sys.executable} {ROOT / 'examples' / '11_detector_process.py'}"
-    with pytest.raises(DataError, match=r"answer to hello: .*missing required field `role`"):
+    with pytest.raises(DataError, match=r"py: answer to hello\.role: expected a value, found nothing$"):
         open_driver(detector)
 
 
