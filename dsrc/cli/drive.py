@@ -1,6 +1,7 @@
 """Commands `dsrc drive` and `search`: closed-loop episodes, campaigns of them, another look at one, what crashes."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -132,6 +133,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
             take_episodes,
         )
         from dsrc.closed_loop.causes.episodes import crash_causes
+        from dsrc.closed_loop.metrics.detections import calibrations
         from dsrc.closed_loop.report.baseline import read_baseline
         from dsrc.closed_loop.report.conditions import check_conditions
         from dsrc.closed_loop.report.findings import Findings
@@ -176,6 +178,10 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         if self.out is not None or self.junit is not None:
             with progress("causes of crashes") as report:
                 more = Findings(gate, crash_causes(result.plan, result.results, out / "episodes", report))
+        if self.out is not None:
+            with progress("calibration of detections") as report:
+                keys = [one.key for one in result.results]
+                more = replace(more, calibrations=calibrations(keys, out / "episodes", report))
         console = Console(highlight=False)
         console.print(summary_table(result), *gate.tables())
         if self.junit is not None:

@@ -21,7 +21,7 @@ from dsrc.detectors.texts import named
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec, check, check_messages, single_defence
 from dsrc.evaluation.detect import MethodResult, join_results
-from dsrc.evaluation.metrics.calibration import SURE, sure_counts, sure_errors
+from dsrc.evaluation.metrics.calibration import SURE, reliability, sure_counts, sure_errors
 from dsrc.evaluation.metrics.intervals import (
     Interval,
     RankedDetections,
@@ -49,7 +49,6 @@ IOU = 0.5
 QUICK_FRAMES, QUICK_SEVERITIES = 12, (1, 3, 5)
 WORST = 10
 _RESAMPLES = 400
-_BINS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,18 +242,9 @@ def _row(one: _Judged, weights: NDArray[np.float32]) -> StressRow:
         low=interval.low,
         high=interval.high,
         false_per_frame=sure_errors(matches)["false_per_frame"],
-        calibration_error=_calibration_error(matches.score, right),
+        calibration_error=reliability(matches.score, right).error,
         cells=entry.cells,
     )
-
-
-def _calibration_error(score: NDArray[np.float32], right: NDArray[np.bool_]) -> float:
-    if not len(score):
-        return float("nan")
-    place = np.minimum((score * _BINS).astype(np.int64), _BINS - 1)
-    count = np.bincount(place, minlength=_BINS)
-    off = np.bincount(place, score.astype(np.float64) - right, minlength=_BINS)
-    return float(np.abs(off).sum() / count.sum())
 
 
 def _worst(judged: Sequence[_Judged]) -> list[WorstFrame]:

@@ -1,14 +1,16 @@
-"""What a report says beside the results of a campaign: how its gate judged them, and the causes of its crashes."""
+"""What a report says beside the results of a campaign: its gate's verdicts, and what the logs of its episodes tell."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
+import numpy as np
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.causes.cause import KINDS, Cause, Kind
 from dsrc.closed_loop.report.cells import condition
 from dsrc.closed_loop.report.gate import NO_GATE, Gate
+from dsrc.evaluation.metrics.calibration import Reliability
 from dsrc.tables.files import csv_text
 
 
@@ -19,10 +21,12 @@ class Findings:
     Attributes:
         gate: what was asked of them.
         causes: of crashes whose logs are there, by the keys of their episodes.
+        calibrations: of the detections of episodes whose logs are there, by their keys.
     """
 
     gate: Gate = NO_GATE
     causes: Mapping[str, Cause] = field(default_factory=dict)
+    calibrations: Mapping[str, Reliability] = field(default_factory=dict)
 
     @property
     def sentences(self) -> dict[str, str]:
@@ -45,6 +49,21 @@ def counted_causes(
             own[cause.kind] += 1
     kinds = [kind for kind in KINDS if any(own[kind] for own in counts.values())]
     return kinds, counts
+
+
+def joined_calibrations(
+    results: Sequence[EpisodeResult], found: Mapping[str, Reliability]
+) -> dict[tuple[str, str], tuple[int, Reliability]]:
+    """Return number of episodes and reliability curve by perception and condition, of perceptions with scores.
+
+    Eyes that are always sure, like the truth, have none to calibrate.
+    """
+    groups: dict[tuple[str, str], list[Reliability]] = {}
+    for one in results:
+        if (own := found.get(one.key)) is not None:
+            groups.setdefault((one.perception, condition(one)), []).append(own)
+    joined = {key: (len(parts), Reliability.joined(parts)) for key, parts in groups.items()}
+    return {key: (count, own) for key, (count, own) in joined.items() if np.nanmin(own.score, initial=1.0) < 1.0}
 
 
 def causes_csv(results: Sequence[EpisodeResult], causes: Mapping[str, Cause]) -> str:

@@ -21,7 +21,9 @@ from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.causes.cause import Cause
 from dsrc.closed_loop.metrics.comparison import Result, Value, collided, counted, metric
 from dsrc.closed_loop.metrics.statistics import Estimate, mean, paired_rates, rate
-from dsrc.closed_loop.report.findings import counted_causes
+from dsrc.closed_loop.report.findings import counted_causes, joined_calibrations
+from dsrc.evaluation.figures.curves import draw_reliability
+from dsrc.evaluation.metrics.calibration import Reliability
 from dsrc.evaluation.results import condition_title
 from dsrc.tables.figure import COLORS, WIDTH_IN, Style, add_legend, draw_cell, figure_style, panels, styles_of
 from sensors.corruptions import CLEAN
@@ -211,6 +213,14 @@ def shares_of_causes(results: Sequence[EpisodeResult], causes: Mapping[str, Caus
         axes.grid(visible=False, axis="y")
         add_legend(figure, axes, below=True)
     return figure
+
+
+def reliability_in_the_loop(results: Sequence[EpisodeResult], found: Mapping[str, Reliability]) -> Figure:
+    """Draw the share of right detections over their score, a curve per perception, clean where there are such."""
+    joined = joined_calibrations(results, found)
+    first = CLEAN if any(title == CLEAN for _, title in joined) else next(title for _, title in joined)
+    curves = {perception: own for (perception, title), (_, own) in joined.items() if title == first}
+    return draw_reliability(curves, styles_of(_perceptions(results)), f"share right, {first} (bird's-eye IoU 0.5)")
 
 
 def _points(

@@ -11,7 +11,7 @@ import msgspec
 from dsrc.closed_loop.campaign.plan import Campaign
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.metrics.comparison import Result
-from dsrc.closed_loop.report.findings import NOTHING, Findings, causes_csv
+from dsrc.closed_loop.report.findings import NOTHING, Findings, causes_csv, joined_calibrations
 from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.report.page import campaign_page
 from dsrc.closed_loop.report.tables import NAMES, of_first_channel, parts_of, tables
@@ -30,6 +30,7 @@ _PICTURES = {
     "severities": "Collision rate over the severity of each corruption",
     "channels": "Cost of the delay and the loss of messages",
     "shares": "Causes of the crashes",
+    "reliability": "How often detections of a score are right, in the loop",
 }
 """Captions of the plots, by name."""
 
@@ -125,6 +126,7 @@ def _plots(result: CampaignResult, more: Findings) -> "dict[str, Callable[[], Fi
         cost_of_channel,
         deadly_corruptions,
         rate_over_severity,
+        reliability_in_the_loop,
         shares_of_causes,
     )
 
@@ -153,6 +155,8 @@ def _plots(result: CampaignResult, more: Findings) -> "dict[str, Callable[[], Fi
         plots["channels"] = partial(cost_of_channel, clean, cost)
     if any(one.key in more.causes for one in whole):
         plots["shares"] = partial(shares_of_causes, whole, more.causes)
+    if joined_calibrations(whole, more.calibrations):
+        plots["reliability"] = partial(reliability_in_the_loop, whole, more.calibrations)
     return plots
 
 

@@ -34,7 +34,7 @@ from dsrc.closed_loop.report.cells import (
     scenario_title,
     share,
 )
-from dsrc.closed_loop.report.findings import NOTHING, Findings, counted_causes
+from dsrc.closed_loop.report.findings import NOTHING, Findings, counted_causes, joined_calibrations
 from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.report.lies import LIE_HEADS, lie_rows
 from dsrc.closed_loop.report.scores import HAZARD_HEADS, SCORE_HEADS, hazard_rows, score_rows
@@ -58,6 +58,7 @@ NAMES = {
     "robustness": "Closed-loop corruption error",
     "reasons": "Causes of crashes",
     "causes": "What came late",
+    "calibration": "Calibration of the detections",
     "hardest": "Hardest crashes",
     "controls": "Controls",
 }
@@ -99,6 +100,7 @@ def tables(result: CampaignResult, more: Findings = NOTHING) -> dict[str, Table]
         _robustness(result.plan, plain[0]),
         _reasons(result.results, more),
         _causes(of_first),
+        _calibration(common or apart, more),
         _worst(result),
         _controls(result),
     ]
@@ -461,6 +463,21 @@ def _causes(results: Sequence[EpisodeResult]) -> Table:
         f"its track was confirmed more than {_TRACKED_S:g} s after that, or never. In time: neither."
     )
     return _table("causes", ["perception", "condition", "crashes", *kinds], rows, text, left=2)
+
+
+def _calibration(results: Sequence[EpisodeResult], more: Findings) -> Table:
+    """Table of how often detections in the loop are right, and how far their scores are from it."""
+    rows = [
+        (perception, title, str(episodes), str(own.count.sum()), percent(own.right), percent(own.error))
+        for (perception, title), (episodes, own) in joined_calibrations(results, more.calibrations).items()
+    ]
+    text = (
+        "Detections of the episodes whose logs are there, at the instant of their measurement. Right: those that "
+        "overlap a road user by half or more in bird's-eye view. ECE: expected calibration error, the mean gap between "
+        "score and share right over detections in ten bins of the score."
+    )
+    heads = ["perception", "condition", "episodes", "detections", "right", "ECE"]
+    return _table("calibration", heads, rows, text, left=2)
 
 
 def _late(one: EpisodeResult) -> str:

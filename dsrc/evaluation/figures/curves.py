@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dsrc.evaluation.metrics.ap import envelope
-from dsrc.evaluation.metrics.calibration import IOU, reliability
+from dsrc.evaluation.metrics.calibration import IOU, Reliability, reliability
 from dsrc.evaluation.metrics.intervals import IOUS
 from dsrc.evaluation.results import CLEAN, Row, condition_title, find_row, methods_of
 from dsrc.tables.figure import NAME_IN, WIDTH_IN, Style, add_legend, figure_style, panels, styles_of
@@ -101,30 +101,27 @@ def precision_recall_curves(rows: Sequence[Row]) -> Figure:
 
 
 def reliability_curves(rows: Sequence[Row]) -> Figure:
-    """Draw precision over score in clean frames, a curve for each method whose row has curves.
+    """Draw precision over score in clean frames, a curve for each method whose row has curves."""
+    found = {}
+    for method in methods_of(rows):
+        row = find_row(rows, method, CLEAN)
+        if row is not None and row.result is not None and IOU in row.result.curves:
+            curve = row.result.curves[IOU]
+            found[method] = reliability(curve.score, np.diff(curve.recall, prepend=0.0) > 0.0)
+    return draw_reliability(found, styles_of(methods_of(rows)), "precision, clean (bird's-eye IoU 0.5)")
 
-    Dots grow with the number of detections.
-    """
-    styles = styles_of(methods_of(rows))
+
+def draw_reliability(found: Mapping[str, Reliability], styles: Mapping[str, Style], ylabel: str) -> Figure:
+    """Draw precision over score, a curve of each name with its ECE; dots grow with the number of detections."""
     with figure_style():
         figure, (axes,) = panels(0.7 * WIDTH_IN, 4.0)
         axes.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
-        for method, style in styles.items():
-            row = find_row(rows, method, CLEAN)
-            if row is None or row.result is None or IOU not in row.result.curves:
-                continue
-            curve = row.result.curves[IOU]
-            bins = reliability(curve.score, np.diff(curve.recall, prepend=0.0) > 0.0)
-            label = f"{method}, ECE {100 * bins.error:.1f} %"
+        for name, bins in found.items():
+            style, label = styles[name], f"{name}, ECE {100 * bins.error:.1f} %"
             axes.plot(bins.score, bins.precision, color=style.color, linestyle=style.dashes, linewidth=2, label=label)
             size = 8.0 + 120.0 * bins.count / max(bins.count.max(), 1)
             axes.scatter(bins.score, bins.precision, s=size, color=style.color, zorder=3, clip_on=False)
-        axes.set(
-            xlim=(0, 1),
-            ylim=(0, 1.02),
-            xlabel="score; dots grow with the number of detections",
-            ylabel="precision, clean (bird's-eye IoU 0.5)",
-        )
+        axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="score; dots grow with the number of detections", ylabel=ylabel)
         add_legend(figure, axes)
     return figure
 

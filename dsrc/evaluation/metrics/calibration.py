@@ -1,6 +1,7 @@
 """Operating point and calibration of detections: the numbers by which one chooses a detector and its threshold."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,22 @@ class Reliability:
     count: NDArray[np.int64]
     score: NDArray[np.float64]
     precision: NDArray[np.float64]
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Reliability]") -> "Reliability":
+        """Return the curve of the detections of all parts, at least one, whose bins are the same."""
+        count = np.sum([part.count for part in parts], axis=0)
+        filled, empty = np.where(count, count, 1), np.where(count, 0.0, math.nan)
+        score, precision = (
+            np.nansum([part.count * getattr(part, name) for part in parts], axis=0) / filled + empty
+            for name in ("score", "precision")
+        )
+        return cls(count, score, precision)
+
+    @property
+    def right(self) -> float:
+        """Share of all detections that hit a true box; NaN without detections."""
+        return float(np.nansum(self.count * self.precision) / self.count.sum()) if self.count.any() else math.nan
 
     @property
     def error(self) -> float:

@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import msgspec
+import numpy as np
 import pytest
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
@@ -17,6 +18,7 @@ from dsrc.closed_loop.report.conditions import Condition, check_conditions, judg
 from dsrc.closed_loop.report.findings import Findings
 from dsrc.closed_loop.report.gate import Gate, campaign_junit
 from dsrc.closed_loop.report.report import markdown, write_report
+from dsrc.evaluation.metrics.calibration import reliability
 from sim.errors import DataError, SettingsError
 from tests.commands import dsrc
 from tests.dsrc.closed_loop.results import PLAN, RESULTS, one
@@ -184,3 +186,21 @@ def test_causes_stand_in_a_table_a_plot_and_a_file(tmp_path: Path) -> None:
     ]
     write_report(result, tmp_path)
     assert not (tmp_path / "causes.csv").exists() and not (tmp_path / "shares.png").exists()
+
+
+def test_calibration_stands_in_a_table_and_a_plot_of_who_has_scores(tmp_path: Path) -> None:
+    driven = [
+        msgspec.structs.replace(one(name, seed, "arrived"), key=f"{name} {seed}")
+        for name in ("alone", "truth")
+        for seed in (0, 1)
+    ]
+    right = np.array([True, False])
+    curves = {f"alone {seed}": reliability(np.array([0.9, 0.9]), right) for seed in (0, 1)}
+    curves["truth 0"] = reliability(np.ones(2), np.ones(2, bool))
+    result = CampaignResult(PLAN, tuple(driven), (), (), 0, 0.0)
+    write_report(result, tmp_path, Findings(calibrations=curves))
+    rows = [line for line in (tmp_path / "report.md").read_text().splitlines() if line.endswith("40 % |")]
+    assert rows == ["| alone | clean | 2 | 4 | 50 % | 40 % |"]
+    assert (tmp_path / "reliability.png").stat().st_size > 1000
+    write_report(result, tmp_path)
+    assert not (tmp_path / "reliability.png").exists()

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dsrc.evaluation.metrics.ap import Matches, curve_of
-from dsrc.evaluation.metrics.calibration import IOU, best_f1, choice_metrics, first_sight_m, reliability
+from dsrc.evaluation.metrics.calibration import IOU, Reliability, best_f1, choice_metrics, first_sight_m, reliability
 
 
 def matches_of(score: list[float], box: list[int], truth: int) -> Matches:
@@ -94,3 +94,15 @@ def test_recall_of_what_only_others_see_counts_their_objects_alone() -> None:
     assert found["best_score"] == pytest.approx(0.8) and found["helped_recall"] == 0.5
     assert found["false_boxes"] == 0.0 and found["best_recall"] == 0.4 and found["first_sight_m"] == 0.0
     assert math.isnan(choice_metrics(curve, late, points * [1, 0], *place)["helped_recall"])
+
+
+def test_joined_curves_are_the_curve_of_all_detections() -> None:
+    rng = np.random.default_rng(0)
+    score = rng.uniform(size=200)
+    hit = rng.uniform(size=200) < score
+    joined = Reliability.joined([reliability(score[part], hit[part]) for part in (slice(0, 3), slice(3, 200))])
+    whole = reliability(score, hit)
+    assert (joined.count == whole.count).all() and joined.error == pytest.approx(whole.error)
+    assert joined.score == pytest.approx(whole.score) and joined.precision == pytest.approx(whole.precision)
+    assert whole.right == pytest.approx(hit.mean())
+    assert math.isnan(Reliability.joined([reliability(np.zeros(0), np.zeros(0, bool))]).right)
