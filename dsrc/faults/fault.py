@@ -5,8 +5,9 @@
     fog:3 on 1003 + loss:0.3 from 2 s + delay:0.2
 
 Faults of one line, between plus signs, are there at once. A kind is followed by its numbers, the first without a name:
-`misalignment:2,up_cm=10`. Times are seconds of the episode: from the first until before the second, or `for` so many
-in place of `to`. Without times a fault is there all the time, without agents it acts on all whom its kind can act on.
+`misalignment:2,up_cm=10`; a share may be in percent, `loss:30%`. Times are seconds of the episode: from the first until
+before the second, or `for` so many in place of `to`. Without times a fault is there all the time, without agents it
+acts on all whom its kind can act on.
 """
 
 import itertools
@@ -272,7 +273,7 @@ def _settings(kind: FaultKind, text: str, where: str, field: str) -> FaultSettin
             continue
         low, high = kind.settings.RANGES.get(name, (-inf, inf))
         whole = known[name].type is int
-        value = _number(number)
+        value = _number(number[:-1]) / 100.0 if number.endswith("%") and (low, high) == (0.0, 1.0) else _number(number)
         fits = math.isfinite(value) and low <= value <= high and not (whole and value != round(value))
         if name in values or not fits:
             expected = "once" if name in values else f"{'a whole number, ' if whole else ''}{_range_text(low, high)}"

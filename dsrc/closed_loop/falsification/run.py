@@ -191,15 +191,15 @@ def _space(options: SearchOptions) -> Space:
     for name, least in (("budget", 1), ("judge", 1), ("failures", 0), ("search_seed", 0)):
         if (number := getattr(options, name)) < least:
             raise SettingsError(complaint(_WHERE, f"--{name.replace('_', '-')}", f"at least {least}", number))
-    if not any(options.fault) and not options.parameter and len(options.seed) * len(options.scenario) == 1:
-        raise SettingsError(
-            complaint(_WHERE, "--fault", "a fault or a parameter with a range, or several seeds", "none")
-        )
     if repeated := [name for name in options.optimizer if options.optimizer.count(name) > 1]:
         raise SettingsError(complaint(_WHERE, "--optimizer", "names that differ", repeated[0]))
     templates = tuple(Template.parse(text, _WHERE) for text in options.fault or ("",))
     scenarios = {name: load_scenario(name) for name in options.scenario}
-    return Space(options.scenario, options.seed, templates, parameters_of(options.parameter, scenarios))
+    space = Space(options.scenario, options.seed, templates, parameters_of(options.parameter, scenarios))
+    if len(space.choices) == 1 and not space.dimensions(space.choices[0]):
+        expected = "a fault or a parameter with a range LOW..HIGH, or several seeds"
+        raise SettingsError(complaint(_WHERE, "--fault", expected, "".join(options.fault) or "none"))
+    return space
 
 
 def _check_faults(plan: Campaign, space: Space) -> None:

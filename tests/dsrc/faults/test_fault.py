@@ -30,6 +30,13 @@ def test_one_fault_has_one_text_however_it_is_spelled() -> None:
     assert parse_faults("fog:3 on ego from 4 to 9s") == parse_faults("fog:3 from 4 s to 9 s on ego")
 
 
+def test_a_share_may_be_in_percent() -> None:
+    assert parse_faults("loss:30% + dirt:80%,growth_s=0") == parse_faults("loss:0.3 + dirt:0.8,growth_s=0")
+    for text in ("loss:130%", "loss:%", "brake_gain:50%", "fog:3%"):
+        with pytest.raises(SettingsError, match="expected"):
+            parse_faults(text)
+
+
 def test_a_corruption_is_a_fault_all_the_time() -> None:
     (fault,) = parse_faults("fog:2 on helpers")
     assert fault.always and fault.condition == Condition("fog", 2, agents="helpers")

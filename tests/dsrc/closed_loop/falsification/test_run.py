@@ -124,12 +124,16 @@ def test_a_true_encounter_without_brakes_is_a_failure_whose_log_is_whole(tmp_pat
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ((), "expected a fault or a parameter with a range, or several seeds, found none"),
+        ((), "expected a fault or a parameter with a range LOW..HIGH, or several seeds, found none"),
+        (
+            ("--fault", "brake_gain:0.5", "--optimizer", "tpe"),
+            "--fault: expected a fault or a parameter with a range LOW..HIGH, or several seeds, found brake_gain:0.5",
+        ),
         (("--fault", "loss:0..1"), "expected a perception that 'loss:0' acts on, such as team, found truth"),
         (("--fault", "brake_gain:0..99"), "fault 'brake_gain:99', factor: expected 0 to 10, found 99"),
         (("--parameter", "speed"), "expected a parameter of the encounter 'ima_building', found speed"),
         (("--fault", "brake_gain:0..1", "--budget", "0"), "--budget: expected at least 1, found 0"),
-        (("--fault", ""), "expected a fault or a parameter with a range, or several seeds, found none"),
+        (("--fault", ""), "expected a fault or a parameter with a range LOW..HIGH, or several seeds, found none"),
         (("--seed", "0", "1", "--optimizer", "grid", "grid"), "--optimizer: expected names that differ, found grid"),
     ],
 )
