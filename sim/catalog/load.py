@@ -125,6 +125,8 @@ def _locate(name_or_path: str | Path) -> Path:
     if name not in ("", ".", "..") and shipped.is_file():
         return shipped
     if name not in _REGISTERED:
+        if path.is_dir():
+            return _toml(path)
         raise ScenarioError(f"unknown scenario '{name_or_path}'{did_you_mean(name, list_scenarios())}")
     return _REGISTERED[name]
 
@@ -132,6 +134,9 @@ def _locate(name_or_path: str | Path) -> Path:
 def _toml(path: Path) -> Path:
     """Return the scenario file at a path, or in the folder at a path."""
     file = path / "scenario.toml" if (path / "scenario.toml").is_file() else path
+    if file.is_dir():
+        expected = "a folder with a scenario.toml (dsrc drive: or with folders that have one)"
+        raise ScenarioError(complaint(path, "scenario", expected, "one without"))
     if not file.is_file():
         raise ScenarioError(complaint(path, "scenario", "an existing .toml file", "no such file"))
     return file

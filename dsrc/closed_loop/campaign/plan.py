@@ -53,7 +53,7 @@ from dsrc.closed_loop.perception.senses import sensed_every_s
 from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
 from dsrc.faults.condition import Disturbance, settled
-from dsrc.faults.fault import Faults, faults_text, parse_faults
+from dsrc.faults.fault import Faults, fault_parts, faults_text, parse_faults
 from dsrc.messages.defences import Defence, parse_defence
 from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import DriveOptions
@@ -228,10 +228,10 @@ def read_campaign(path: Path) -> Campaign:
     radios = [(Radio.parse(name), name) for name in plan.channel]
     channels = tuple(found_trace(radio) if ":" in radio.channel else name for radio, name in radios)
     plan = replace(plan, perceptions=tuple(perceptions), scenarios=scenarios, channel=channels)
-    check(plan, str(path))
     given = read_tables(path, SettingsError)
     given |= {new: given[old] for old, new in RENAMED.items() if old in given}
     plan = _patient(plan, given.get("loop", {}))
+    check(plan, str(path))
     for field, expected in _without_effect(plan):
         if given.get(field) not in (None, [], [CLEAN], [IDEAL]):
             raise SettingsError(complaint(path, field, expected, f"{given[field]}"))
@@ -297,8 +297,10 @@ def campaign_of(options: DriveOptions) -> Campaign:
     }
     if options.what.endswith(".toml") and is_campaign(Path(options.what)):
         if given:
+            (field, value), *_ = given.items()
+            shown = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
             expected = f"nothing: {options.what} describes the campaign"
-            raise SettingsError(complaint("drive", next(iter(given)), expected, "a value"))
+            raise SettingsError(complaint("drive", field, expected, shown))
         return read_campaign(Path(options.what))
     checkpoint = str(options.checkpoint or "")
     asked = [parse_perception(text) for text in options.perception or ("truth",)]
@@ -410,10 +412,16 @@ def check(plan: Campaign, where: str) -> None:
 
 
 def _check_faults(plan: Campaign, where: str) -> None:
-    """Raise SettingsError for a wrong fault, one that is there twice, or one that acts on no perception."""
+    """Raise SettingsError for a wrong fault, one that is there twice, or one that acts on no perception or never."""
     found = [faults_text(parse_faults(text, where)) for text in plan.fault]
     if repeated := [text for text in found if found.count(text) > 1]:
         raise SettingsError(complaint(where, "fault", "texts that differ", repeated[0]))
+
+    for part in (part for text in plan.fault for part in fault_parts(text)):
+        (fault,) = parse_faults(part, where)
+        if fault.from_s >= plan.loop.duration_s:
+            expected = f"a begin before the end of the longest episode, {plan.loop.duration_s:g} s"
+            raise SettingsError(complaint(where, f"fault '{part}'", expected, f"{fault.from_s:g} s"))
 
     def acts(faults: Faults) -> bool:
         each = settled(faults, plan.radios[0])
@@ -451,7 +459,8 @@ def _check_agents(plan: Campaign, where: str) -> None:
     Only the agents of encounters are known before the traffic runs.
     """
     asked = {"corrupted_agents": plan.conditions[-1].agents} if len(plan.conditions) > 1 else {}
-    asked |= {f"fault '{one.text}'": one.agents for text in plan.fault for one in parse_faults(text, where)}
+    parts = [part for text in plan.fault for part in fault_parts(text)]
+    asked |= {f"fault '{part}'": one.agents for part in parts for one in parse_faults(part, where)}
     named = [(field, one) for field, agents in asked.items() if not isinstance(agents, str) for one in agents]
     agents: set[int] = set()
     for name, seed in product(plan.scenarios, dict.fromkeys([*_listed(plan.clean_seeds), *_listed(plan.seeds)])):

@@ -135,3 +135,13 @@ def test_an_encounter_has_variants_by_name() -> None:
     for twice in ("lta_truck:dense:light", "lta_truck:no_occluder:no_conflict"):
         with pytest.raises(ScenarioError, match="expected one, found"):
             load_scenario(twice)
+
+
+def test_a_folder_without_a_scenario_is_told_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path)
+    for name in ("empty", str(tmp_path / "empty")):
+        with pytest.raises(
+            ScenarioError, match=r"empty: scenario: expected a folder with a scenario\.toml .*, found one"
+        ):
+            load_scenario(name)

@@ -267,8 +267,12 @@ def test_options_beside_a_plan_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text('scenarios = ["ima_building"]\n[[perceptions]]\nname = "truth"\n', encoding="utf-8")
     assert campaign_of(DriveOptions(what=str(path))).scenarios == ("ima_building",)
-    with pytest.raises(SettingsError, match="seed"):
-        campaign_of(DriveOptions(what=str(path), seed=(1,)))
+    for given, message in (
+        ({"seed": (1, 2)}, "seed: .*, found 1 2$"),
+        ({"driver": "pipe:a b"}, "driver: .* pipe:a b$"),
+    ):
+        with pytest.raises(SettingsError, match=f"^drive: {message}"):
+            campaign_of(DriveOptions(what=str(path), **given))
 
 
 @pytest.mark.parametrize(
@@ -391,6 +395,10 @@ def test_a_fault_that_an_option_can_say_is_the_same_episode() -> None:
             {"fault": ("loss:1 from 1 s",), "perception": ("ego", "sight")},
             "expected a perception that 'loss:1 from 1 s' acts on, such as team, found ego, sight",
         ),
+        (
+            {"fault": ("fog from 1 s + noise from 20 s",)},
+            "^drive: fault 'noise from 20 s': expected a begin before the end of .* episode, 20 s, found 20 s$",
+        ),
     ],
 )
 def test_a_fault_that_is_wrong_or_there_already_is_told(options: dict[str, Any], message: str) -> None:
@@ -421,6 +429,16 @@ def test_the_agents_of_an_encounter_are_those_of_its_episodes() -> None:
             carriers = nearest_agents(traffic.actors, scenario, choose_ego(traffic, scenario))
         units = [-1 - row for row in range(len(scenario.agents.roadside))]
         assert list(encounter_agents(scenario, 1)) == [*carriers, *units]
+
+
+def test_a_fault_may_begin_as_late_as_the_driver_s_longest_episode(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    text = 'scenarios = ["ima_building"]\nfault = ["fog from 25 s"]\n[[perceptions]]\nname = "team"\n'
+    path.write_text(f'driver = "anticipating"\n{text}')
+    assert read_campaign(path).loop.duration_s == 30.0
+    path.write_text(text)
+    with pytest.raises(SettingsError, match=r"plan.toml: fault 'fog from 25 s': .* longest episode, 20 s, found 25 s"):
+        read_campaign(path)
 
 
 def test_a_plan_says_faults_in_the_same_words(tmp_path: Path) -> None:
