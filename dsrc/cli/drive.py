@@ -22,7 +22,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     A campaign drives scenarios x perceptions x corruptions x channels x seeds, resumes when it was interrupted, and
     writes results.csv, tables, plots and a log of every episode. The log of an episode in place of a scenario shows
     the same traffic to another perception. A critical value is where the outcome of one episode flips. Conditions and a
-    baseline are for CI: exit with 1 where a condition fails.
+    baseline are for CI: exit with 1 where a condition fails, and where perception or driver failed in every episode.
 
     Examples:
         dsrc drive lta_truck --perception truth sight ego team --seed 0 1 2
@@ -140,6 +140,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from dsrc.closed_loop.report.gate import Gate, campaign_junit
         from dsrc.closed_loop.report.report import check_publication, publish_report, write_report
         from dsrc.closed_loop.report.terminal import summary_table
+        from dsrc.closed_loop.types import FAILED
         from dsrc.runs.lock import locked
         from sim.files import check_output, write_file
 
@@ -187,7 +188,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         if self.junit is not None:
             write_file(self.junit, campaign_junit(result, gate, more.sentences))
         if self.out is not None:
-            places = list(write_report(result, out, more))
+            with progress("pictures of failures") as report:
+                places = list(write_report(result, out, more, report))
             if self.docs is not None:
                 places += [publish_report(result, out, self.docs, more), self.docs]
             if any((out / "episodes").glob("*.npz")):
@@ -196,6 +198,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 made(places, "results and tables")
         if failed := [one for one in gate.verdicts if not one.holds]:
             sys.stderr.write(f"{len(failed)} of {len(gate.verdicts)} conditions fail\n")
+        if failed or all(one.outcome in FAILED for one in result.results):
             raise SystemExit(1)
 
     def _watch(self) -> None:
@@ -250,9 +253,10 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         from dsrc.closed_loop.log import EpisodeLog
         from dsrc.closed_loop.report.terminal import comparison_table
 
-        own = EpisodeLog.load(Path(self.what)).settings.perception
+        own = EpisodeLog.load(Path(self.what)).settings
         # Options are checked as those of an episode by these eyes.
-        campaign_of(msgspec.structs.replace(self, what="four_way", perception=self.perception or (own,)))
+        eyes, longest_s = self.perception or (own.perception,), own.loop.get("duration_s")
+        campaign_of(msgspec.structs.replace(self, what="four_way", perception=eyes, duration_s=longest_s))
         former, again = replay_at(Path(self.what), self)
         Console(highlight=False).print(comparison_table(former, again))
         if self.out is not None:

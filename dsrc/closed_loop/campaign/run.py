@@ -141,12 +141,20 @@ def run_campaign(
         episodes = _Episodes.of(out, known)
         if episodes.known:
             write_file(out / _REUSED, results_csv(episodes.known.values()))
-        if controls_plan is not None:
-            controls, made = episodes.drive(episodes_of(controls_plan), pool, progress)
+        guards = [] if controls_plan is None else episodes_of(controls_plan)
+        own, reference = episodes_of(plan), _reference(plan)
+        wanted = 0 if progress is None else episodes.missing([*guards, *own, *reference])
+
+        def report(done: int, _: int) -> None:
+            if progress is not None:
+                progress(made + done, wanted)
+
+        if guards:
+            controls, driven = episodes.drive(guards, pool, report)
             write_file(out / "controls.csv", results_csv(controls))
             _require_controls(controls, out)
-        own, reference = episodes_of(plan), _reference(plan)
-        both, more = episodes.drive([*own, *reference], pool, progress)
+            made += driven
+        both, more = episodes.drive([*own, *reference], pool, report)
         results, careful = both[: len(own)], both[len(own) :]
         write_file(out / "plan.json", msgspec.json.format(msgspec.json.encode(plan)))
         write_file(out / "results.csv", results_csv(results))
@@ -276,6 +284,11 @@ class _Episodes:
     def find(self, key: str) -> EpisodeResult | None:
         """Return the result of an episode; None where it is missing or damaged."""
         return EPISODES.find(self.folder, key) or self.known.get(key)
+
+    def missing(self, jobs: Sequence[EpisodeJob]) -> int:
+        """Return the number of episodes that are to be driven."""
+        keyed = {key: job for job in jobs if (key := episode_key(job)) not in self.known}
+        return len(EPISODES.missing(self.folder, keyed))
 
     def drive(
         self, jobs: Sequence[EpisodeJob], pool: Pool, progress: Progress | None

@@ -12,6 +12,7 @@ from dsrc.closed_loop.metrics.comparison import metric
 from dsrc.closed_loop.report.baseline import episode_name
 from dsrc.closed_loop.report.findings import Findings
 from dsrc.closed_loop.types import FAILED, Outcome
+from dsrc.runs.executors import Progress
 from dsrc.tables.table import Table
 
 _MOST = 24
@@ -28,7 +29,12 @@ figure{margin:0;border:1px solid #e3e6ea;padding:.6em}figcaption{font-size:13px}
 
 
 def campaign_page(
-    result: CampaignResult, more: Findings, made: Iterable[Table], plots: Sequence[tuple[str, Path]], folder: Path
+    result: CampaignResult,
+    more: Findings,
+    made: Iterable[Table],
+    plots: Sequence[tuple[str, Path]],
+    folder: Path,
+    progress: Progress | None = None,
 ) -> str:
     """Return the page of a campaign.
 
@@ -36,6 +42,7 @@ def campaign_page(
         made: tables of the report.
         plots: captions and files of the plots.
         folder: of the logs; episodes without one are named alone.
+        progress: called with pictures of failures done and pictures in all.
 
     Raises:
         DataError: a log is damaged.
@@ -44,9 +51,14 @@ def campaign_page(
     for about, path in plots:
         parts.append(f"<h2>{_safe(about)}</h2>{_image(path.read_bytes(), about)}")
     failed = failures(result.results, more)
-    if failed:
-        parts.append(f"<h2>Failures</h2><p>{min(len(failed), _MOST)} of {len(failed)}.</p>" + _LEGEND)
-        parts.append(f'<div class="failures">{"".join(_failure(one, more, folder) for one in failed[:_MOST])}</div>')
+    if shown := failed[:_MOST]:
+        figures = []
+        for one in shown:
+            figures.append(_failure(one, more, folder))
+            if progress is not None:
+                progress(len(figures), len(shown))
+        parts.append(f"<h2>Failures</h2><p>{len(shown)} of {len(failed)}.</p>" + _LEGEND)
+        parts.append(f'<div class="failures">{"".join(figures)}</div>')
     head = f'<meta charset="utf-8"><meta name="generator" content="dsrc drive"><title>{_safe(result.plan.name)}</title>'
     head += f"<style>{_STYLE}</style>"
     return f"<!doctype html><html lang=en><head>{head}</head><body>{''.join(parts)}</body></html>\n"

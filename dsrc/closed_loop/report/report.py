@@ -15,6 +15,7 @@ from dsrc.closed_loop.report.findings import NOTHING, Findings, causes_csv, join
 from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.report.page import campaign_page
 from dsrc.closed_loop.report.tables import NAMES, of_first_channel, parts_of, tables
+from dsrc.runs.executors import Progress
 from dsrc.runs.provenance import provenance
 from dsrc.tables.document import Section, check_document, publish
 from sensors.corruptions import CLEAN
@@ -35,8 +36,14 @@ _PICTURES = {
 """Captions of the plots, by name."""
 
 
-def write_report(result: CampaignResult, out: Path, more: Findings = NOTHING) -> list[Path]:
-    """Write report.md, its plots and report.html into the folder of a campaign; return all paths of its results."""
+def write_report(
+    result: CampaignResult, out: Path, more: Findings = NOTHING, progress: Progress | None = None
+) -> list[Path]:
+    """Write report.md, its plots and report.html into the folder of a campaign; return all paths of its results.
+
+    Args:
+        progress: called with pictures of failures done and pictures in all.
+    """
     from dsrc.tables.figure import write_figure
 
     pictures, plots = [], _plots(result, more)
@@ -55,7 +62,7 @@ def write_report(result: CampaignResult, out: Path, more: Findings = NOTHING) ->
         write_file(path, causes_csv(result.results, more.causes))
     page, every = out / "report.html", tables(result, more).values()
     shown = [(_PICTURES[name], out / f"{name}.png") for name in plots]
-    write_file(page, campaign_page(result, more, every, shown, out / "episodes"))
+    write_file(page, campaign_page(result, more, every, shown, out / "episodes", progress))
     return [report, page, *pictures, out / "results.csv", *causes]
 
 

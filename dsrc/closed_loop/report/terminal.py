@@ -15,7 +15,7 @@ from sim.radio import IDEAL
 def summary_table(result: CampaignResult) -> Table:
     """Table of a campaign for a terminal: a row per perception and condition, by scenario.
 
-    A star marks perceptions that have no class for a conflict actor. What failed is below the table.
+    A star marks perceptions that have no class for a conflict actor. What failed has a column, and why is below.
     """
     blind = not all(one.detectable for one in result.results)
     notes = ["*: no class for the road user"] if blind else []
@@ -26,7 +26,8 @@ def summary_table(result: CampaignResult) -> Table:
             if failed:
                 notes.append(f"{name}: {end} in {len(failed)} of {len(driven)} episodes: {failed[0]}")
     columns = [Column("perception", align="left"), Column("condition", align="left")]
-    columns += [replace(column, terminal=column.title != "failed") for column in COLUMNS]
+    failing = any(one.outcome in FAILED for one in result.results)
+    columns += [replace(column, terminal=failing or column.title != "failed") for column in COLUMNS]
     rows = []
     scenarios = list(dict.fromkeys(one.scenario for one in result.results))
     for scenario in scenarios:

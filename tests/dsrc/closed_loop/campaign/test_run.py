@@ -202,6 +202,30 @@ def test_a_perception_that_fails_is_a_row(tmp_path: Path) -> None:
     assert (row.outcome, row.message) == ("perception failed", "MemoryError: no memory left")
 
 
+def test_a_run_in_which_every_episode_fails_exits_with_1_and_keeps_its_results(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings: dict[str, Any] = {"what": "ima_building", "duration_s": 2.0}
+    with pytest.raises(SystemExit, match="1"):
+        Drive(**settings, perception=(f"broken={EYES}:Broken",), out=tmp_path).run()
+    assert [row["outcome"] for row in rows(tmp_path)] == ["perception failed"] and (tmp_path / "report.html").is_file()
+    told = capsys.readouterr()
+    assert "broken: perception failed in 1 of 1 episodes: MemoryError: no memory left" in told.out
+    assert re.search(r"^perception .* failed ", told.out, re.MULTILINE), "a column of the table"
+    Drive(**settings, perception=("truth", f"broken={EYES}:Broken")).run()  # some worked
+    Drive(**settings).run()
+    assert "failed" not in capsys.readouterr().out.rpartition("perception")[2]
+
+
+def test_progress_counts_controls_and_episodes_together(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    plan = replace(PLAN, perceptions=PLAN.perceptions[:1], clean_seeds=1, controls=True, careful=True)
+    result = run_campaign(plan, tmp_path, progress=lambda *steps: told.append(steps))
+    assert len(result.controls) == 2 and result.made == 4
+    assert {total for _, total in told} == {4}
+    assert [done for done, _ in told] == sorted(done for done, _ in told) and told[-1] == (4, 4)
+
+
 @pytest.mark.slow
 def test_a_driver_of_one_s_own_that_fails_is_a_row_and_the_campaign_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

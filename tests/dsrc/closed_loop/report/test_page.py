@@ -52,7 +52,9 @@ def test_a_page_is_one_file_with_a_picture_for_each_failure_that_has_a_log(tmp_p
     (tmp_path / "episodes").mkdir()
     CRASH.save(tmp_path / "episodes" / "2.npz")
     causes = {"2": Cause(kind="seen late", sentence="seen late by 200 ms: <the car>", late_s=0.2, seen_s=0.2)}
-    write_report(RESULT, tmp_path, Findings(causes=causes))
+    told: list[tuple[int, int]] = []
+    write_report(RESULT, tmp_path, Findings(causes=causes), lambda *steps: told.append(steps))
+    assert told == [(1, 3), (2, 3), (3, 3)], "pictures take seconds each"
     text = (tmp_path / "report.html").read_text()
     seen = Seen()
     seen.feed(text)
