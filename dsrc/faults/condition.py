@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Self
 import msgspec
 
 from dsrc.faults.fault import Faults, fault_parts, faults_text, parse_faults
-from dsrc.faults.kinds import Severity
+from dsrc.faults.kinds import REPLAY, Severity
 from dsrc.faults.sweeps import SensorFaults
 from sensors.corruptions import CLEAN, CORRUPTIONS, Changes, Condition, CorruptedAgents, Family, ego_of
 from sensors.frame import Frame
@@ -142,7 +142,7 @@ def frame_condition(text: str, where: str) -> Faulted:
     return Faulted(faults_text(faults), faults=faults)
 
 
-_IN_TIME = ("freeze", "localisation_drift", "speed_reading", "replay")
+_IN_TIME = ("freeze", "localisation_drift", "speed_reading", REPLAY)
 """Kinds of faults of sensors, poses and messages that act on what happens between frames."""
 
 

@@ -191,6 +191,8 @@ class FaultKind:
     radio: tuple[str, ...] = ()
 
 
+REPLAY = "replay"
+"""Attack that needs the messages before the one that it changes: boxes are kept, clouds are not."""
 KINDS: dict[str, FaultKind] = {
     "frame_drop": FaultKind("sensor", Share),
     "freeze": FaultKind("sensor", Freeze),
@@ -212,7 +214,7 @@ KINDS: dict[str, FaultKind] = {
     "ghost": FaultKind("message", Ghost, "helpers"),
     "remove": FaultKind("message", Remove, "helpers"),
     "false_pose": FaultKind("message", Bias, "helpers"),
-    "replay": FaultKind("message", Seconds, "helpers"),
+    REPLAY: FaultKind("message", Seconds, "helpers"),
     "latency": FaultKind("computing", Seconds, "ego"),
     "missed_cycles": FaultKind("computing", Share, "ego"),
     "control_delay": FaultKind("actuation", Seconds, "ego"),

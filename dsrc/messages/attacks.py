@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.points_in_boxes import points_in_boxes
 from dsrc.faults.fault import Fault, Faults
-from dsrc.faults.kinds import Bias, Ghost, Remove, Seconds
+from dsrc.faults.kinds import REPLAY, Bias, Ghost, Remove, Seconds
 from dsrc.faults.localisation import believed_from_true, pose_error
 from dsrc.messages.message import Message, Objects
 from dsrc.messages.seen_space import View
@@ -65,7 +65,7 @@ class Attacks:
         self._faults = tuple(one for one in faults if one.attack)
         self._seed, self._ego_id = seed, ego_id
         self._ghosts: dict[int, Boxes] = {}
-        self._keep_s = max([one.value for one in self._faults if one.kind == "replay"], default=0.0)
+        self._keep_s = max([one.value for one in self._faults if one.kind == REPLAY], default=0.0)
         self._past: dict[int, deque[Message]] = {}
         self._seen: dict[int, list[tuple[float, Boxes]]] = {}
 

@@ -11,6 +11,8 @@ from dsrc.messages.attacks import Attacks
 from dsrc.messages.defences import Defence, Defences
 from dsrc.messages.message import Message, Told
 from dsrc.messages.seen_space import SeenSpace
+from sensors.frame import AgentFrame
+from sensors.sweep import Sweep
 from sim.boxes import Boxes
 from sim.errors import SettingsError, complaint
 
@@ -73,6 +75,10 @@ class Inbox:
                     found = f"{agent}, the ego" if agent == self._ego_id else agent
                     expected = f"ids among the helpers {list(helpers)}"
                     raise SettingsError(complaint("perception", f"fault '{fault.text}'", expected, found))
+
+    def measured(self, agent: AgentFrame, truth: Boxes, time_s: float) -> Sweep:
+        """Return the sweep that a helper shares of an instant where it tells no boxes, see `Attacks.measured`."""
+        return self._attacks.measured(agent, truth, time_s - (self._start_s or 0.0))
 
     def more_bytes(self, sender: int, seen: Boxes, time_s: float) -> int:
         """Return what a lie adds to the bytes of a message of an instant, see `Attacks.more_bytes`."""

@@ -44,8 +44,10 @@ from dsrc.closed_loop.perception.open import (
     MODELLED,
     TELLING,
     TOGETHER,
+    WHO_IS_LIED_TO,
     WHO_TELLS,
     WITHOUT_SENSOR,
+    hears,
     open_perception,
     parse_perception,
 )
@@ -54,6 +56,7 @@ from dsrc.detectors.classes import source_hash
 from dsrc.detectors.texts import NO_COMMAND, SHIPPED_DETECTOR, kind_of
 from dsrc.faults.condition import Disturbance, settled
 from dsrc.faults.fault import Faults, fault_parts, faults_text, parse_faults
+from dsrc.faults.kinds import REPLAY
 from dsrc.messages.defences import Defence, parse_defence
 from dsrc.options.detection import AutoEngine
 from dsrc.options.driving import DriveOptions
@@ -433,8 +436,9 @@ def _check_faults(plan: Campaign, where: str) -> None:
             names = ", ".join(one.name for one in plan.perceptions)
             idle = next((f"'{fault.text}'" for fault in faults if not acts((fault,))), "all of it")
             expected = f"a perception that {idle} acts on, such as team"
-            if any(one.attack for one in faults):
-                expected = WHO_TELLS
+            if attacks := [one for one in faults if one.attack]:
+                replayed = any(one.kind == REPLAY for one in attacks)
+                expected = WHO_TELLS if replayed else WHO_IS_LIED_TO
             raise SettingsError(complaint(where, f"fault '{text}'", expected, names))
     driven = [each for channel in plan.radios for each in plan.disturbed(channel)]
     for each in driven:
@@ -593,12 +597,11 @@ def _cells(plan: Campaign, one: PerceptionSpec, seed: int, helped: bool) -> Iter
 def _acts(disturbance: Disturbance, channels: tuple[str, ...], one: PerceptionSpec, helped: bool) -> bool:
     """Whether a perception is driven in a disturbance.
 
-    All of it must act on a perception without a sensor, and some of it on one without helpers; attacks are on those
-    whose helpers tell boxes.
+    All of it must act on a perception without a sensor, and some of it on one without helpers; every attack must act.
     """
     condition, channel, faults = disturbance
     needs = {fault.needs for fault in faults}
-    if "message" in needs and one.kind not in TELLING:
+    if not all(hears(one.kind, fault) for fault in faults if fault.attack):
         return False
     if one.kind in WITHOUT_SENSOR:
         return condition.kind == CLEAN and channel in channels and not needs & {"sensor", "radio"}

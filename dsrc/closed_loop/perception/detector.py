@@ -14,6 +14,7 @@ from dsrc.closed_loop.types import EgoState, Percept
 from dsrc.data.sample import Sample, SampleDetector, make_sample
 from dsrc.faults.condition import radio_faults
 from dsrc.faults.fault import Faults
+from dsrc.faults.kinds import REPLAY
 from dsrc.messages.defences import Defence
 from dsrc.messages.inbox import Inbox
 from dsrc.messages.message import Told, as_detections, counted_in, tells_boxes, told_of
@@ -50,7 +51,7 @@ class DetectorPerception:
 
     Raises:
         SettingsError: `look_ahead_s` is not finite or below 0, or not 0 for a network that encodes each cloud in its
-            agent's own frame; an attack or a defence of a detector whose agents do not tell boxes.
+            agent's own frame; an attack without helpers; a defence, or a replay, where agents tell no boxes.
     """
 
     def __init__(
@@ -77,8 +78,11 @@ class DetectorPerception:
             raise SettingsError(complaint("perception", "look_ahead_s", expected, f"{look_ahead_s:g}"))
         self._interval_s, self.look_ahead_s, self._moved = interval_s, look_ahead_s, moved
         self.defence, self._inbox = defence, Inbox(faults, defence)
-        if self._inbox.active and not (cooperative and tells_boxes(detector)):
-            expected = "agents that tell boxes, as those of late fusion do, with an attack or a defence"
+        self._attacked, self._tells_boxes = any(one.attack for one in faults), tells_boxes(detector)
+        if self._inbox.active and not cooperative:
+            raise SettingsError(complaint("perception", "helpers", "some, with an attack or a defence", "none"))
+        if not self._tells_boxes and (defence or any(one.kind == REPLAY for one in faults)):
+            expected = f"agents that tell boxes, as those of late fusion do, with a defence or {REPLAY}"
             raise SettingsError(complaint("perception", "detector", expected, "one that fuses clouds or features"))
         self._ego_id = -1
         self._past: deque[Frame] = deque(maxlen=MAX_AGE + 1)
@@ -160,9 +164,14 @@ class DetectorPerception:
 
     def _sense(self, before: Actors, now: Actors, claims: dict[str, Actors]) -> Frame:
         frame = self.senses.frame(before, now, claims)
+        if self._attacked and not self._tells_boxes:
+            self._inbox.check(self.senses.agents[1:])
+            # Clouds, or features of them, that lie as the boxes of their helper would.
+            shared = [self._inbox.measured(agent, now.boxes, frame.time_s) for agent in frame.agents]
+            frame = frame.with_sweeps(shared)
         self._past.appendleft(frame)
         self._instant, self._turned_s = self._instant + 1, now.time_s
-        if any(fault.attack for fault in self.faults):
+        if self._attacked and self._tells_boxes:
             for row, agent in enumerate(frame.agents):
                 seen = counted_in(frame, row, self.detector)
                 self._more_bytes[frame.index, row] = self._inbox.more_bytes(agent.agent_id, seen, frame.time_s)
@@ -198,7 +207,7 @@ class DetectorPerception:
 
     def _find(self, sample: Sample, links: tuple[Link, ...]) -> tuple[Detections, tuple[Told, ...], SeenSpace]:
         """Return the detections, what became of the helpers' messages, and the seen space."""
-        if self._inbox.active or (self._moved and self.message_interval_s and tells_boxes(self.detector)):
+        if self._tells_boxes and (self._inbox.active or (self._moved and self.message_interval_s)):
             return self._read(sample, links)
         return self.detector.detect(sample), (), self._seen(sample, links)
 

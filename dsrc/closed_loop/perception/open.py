@@ -11,6 +11,7 @@ from dsrc.data.sample import SampleDetector
 from dsrc.detectors.classes import OwnDetector, load_own
 from dsrc.detectors.texts import SHIPPED_DETECTOR, kind_of, split_name
 from dsrc.faults.fault import Fault, Faults, parse_faults, require_apart
+from dsrc.faults.kinds import REPLAY
 from dsrc.messages.cpm import RULES
 from dsrc.messages.defences import Defence, parse_defence
 from sensors.corruptions import CLEAN, DEFAULT_SEVERITY, EVERYONE, Condition, CorruptedAgents, Family
@@ -30,10 +31,11 @@ CPM = "cpm"
 """As `LATE`, by ETSI's Collective Perception Messages; `cpm-RULE` with a rule of redundancy mitigation."""
 CPMS = (CPM, *(f"{CPM}-{rule}" for rule in RULES))
 TELLING = (TEAM_SIGHT, LATE)
-"""Helpers tell boxes, in which they can lie."""
-WHO_TELLS = f"a perception whose helpers tell boxes, {' or '.join(TELLING)} (ETSI's are not attacked in episodes)"
+"""Helpers tell boxes, which the ego can refuse."""
+WHO_TELLS = f"a perception whose helpers tell boxes, {' or '.join(TELLING)} (ETSI's are not defended in episodes)"
 MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
+WHO_IS_LIED_TO = "a perception with helpers, such as team, late or team-sight (ETSI's are not attacked in episodes)"
 
 _NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE, *CPMS)
 _FORMER = {"dsrc": TOGETHER}
@@ -107,10 +109,11 @@ def open_perception(
     faults = parse_faults(fault, "perception") if isinstance(fault, str) else fault
     require_apart([*([Fault.of(condition)] if corrupted else []), *faults], "perception")
     defences = parse_defence(defence, "perception") if isinstance(defence, str) else defence
-    if name not in TELLING:
-        attack = next((f"fault '{one.text}'" for one in faults if one.attack), "defence" if defences else "")
-        if attack:
-            raise SettingsError(complaint("perception", attack, WHO_TELLS, text))
+    if unheard := next((one for one in faults if one.attack and not hears(name, one)), None):
+        expected = WHO_TELLS if unheard.kind == REPLAY else WHO_IS_LIED_TO
+        raise SettingsError(complaint("perception", f"fault '{unheard.text}'", expected, text))
+    if defences and name not in TELLING:
+        raise SettingsError(complaint("perception", "defence", WHO_TELLS, text))
     sensed = any(one.needs for one in faults)
     if name in WITHOUT_SENSOR:
         given = {"corruption": corrupted, "channel": radio != _IDEAL, "checkpoint": checkpoint is not None}
@@ -188,6 +191,12 @@ def parse_perception(text: str) -> Words:
 def uses_helpers(kind: str) -> bool:
     """Whether a perception of a kind of `Words` uses helpers."""
     return kind == TEAM_SIGHT or kind not in (*WITHOUT_SENSOR, ALONE)
+
+
+def hears(kind: str, attack: Fault) -> bool:
+    """Whether a perception of a kind of `Words` has helpers that an attack acts on."""
+    shares = kind not in (*WITHOUT_SENSOR, ALONE, MODELLED, *CPMS)
+    return kind in TELLING or (shares and attack.kind != REPLAY)
 
 
 def _refuse(text: str, what: str, given: dict[str, bool]) -> None:

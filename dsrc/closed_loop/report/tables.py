@@ -39,6 +39,7 @@ from dsrc.closed_loop.report.gate import GATE_NAMES
 from dsrc.closed_loop.report.lies import LIE_HEADS, lie_rows
 from dsrc.closed_loop.report.scores import HAZARD_HEADS, SCORE_HEADS, hazard_rows, score_rows
 from dsrc.closed_loop.types import FAILED, Outcome
+from dsrc.faults.fault import parse_faults
 from dsrc.tables.table import Column, Strong, Table, TableRow
 from sensors.corruptions import CLEAN
 
@@ -397,14 +398,17 @@ def _hazards(results: Sequence[EpisodeResult]) -> Table:
 def _lies(result: CampaignResult) -> Table:
     """Table of what attacks did and what defences refused, of campaigns with either."""
     text = (
-        "Of the perceptions whose helpers tell boxes. Met: episodes that met their encounter. Crashed: of these. "
-        "Needless stops: of all episodes, those in which the ego came to stand for a road user that is not there. "
-        "Arrived: of all episodes. Attacks refused: of the false objects told, those refused. Wrongly refused: of the "
-        "helpers that did not lie, one each episode, those of whom an object was refused. In brackets the interval of "
-        "95 %: Wilson's of shares of episodes and helpers, bootstrap (BCa) over episodes of attacks refused."
+        "Of the perceptions whose helpers lie, or that defend themselves. Met: episodes that met their encounter. "
+        "Crashed: of these. Needless stops: of all episodes, those in which the ego came to stand for a road user that "
+        "is not there. Arrived: of all episodes. Attacks refused: of the false objects told, those refused; who fuses "
+        "clouds or features refuses none. Wrongly refused: of the helpers that did not lie, one each episode, those of "
+        "whom an object was refused. In brackets the interval of 95 %: Wilson's of shares of episodes and helpers, "
+        "bootstrap (BCa) over episodes of attacks refused."
     )
-    telling = {one.name for one in result.plan.perceptions if one.kind in TELLING}
-    own = [one for one in result.results if one.perception in telling] if result.plan.lies else []
+    lied_to = {one.name for one in result.plan.perceptions if one.kind in TELLING}
+    faulty = [one for one in result.results if one.fault]
+    lied_to |= {one.perception for one in faulty if any(part.attack for part in parse_faults(one.fault, "results"))}
+    own = [one for one in result.results if one.perception in lied_to] if result.plan.lies else []
     return _table("lies", LIE_HEADS, lie_rows(own), text, left=3)
 
 

@@ -226,12 +226,9 @@ def test_without_messages_nothing_is_known_of_lies() -> None:
 @pytest.mark.parametrize(
     ("perception", "fault", "defence", "said"),
     [
-        (
-            "team",
-            "ghost",
-            "none",
-            "fault 'ghost:1': expected a perception whose helpers tell boxes, team-sight or late",
-        ),
+        ("ego", "ghost", "none", "fault 'ghost:1': expected a perception with helpers, such as team"),
+        ("team", "replay:1", "none", "fault 'replay:1': expected a perception whose helpers tell boxes, team-sight or"),
+        ("team", "", "motion", "defence: expected a perception whose helpers tell boxes, team-sight or late"),
         ("truth", "", "motion", "defence: expected a perception whose helpers tell boxes, team-sight or late"),
         ("team-sight", "fog:3", "none", "without a sensor"),
     ],

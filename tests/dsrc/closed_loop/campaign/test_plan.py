@@ -473,9 +473,12 @@ def test_each_defence_is_driven_with_each_attack_where_helpers_tell_boxes() -> N
         ("truth", "latency:0.2", ""),
         *(("team-sight", text, name) for text in ("", "ghost:1", "latency:0.2") for name in ("", "motion,trust")),
     ]
-    assert defended(("ego", "late"), fault=("replay:1",)) == [
+    assert defended(("ego", "team", "late"), fault=("ghost", "replay:1")) == [
         ("ego", "", ""),
+        ("team", "", ""),
+        ("team", "ghost:1", ""),
         ("late", "", ""),
+        ("late", "ghost:1", ""),
         ("late", "replay:1", ""),
     ]
 
@@ -502,7 +505,11 @@ def test_a_defence_is_another_episode_and_none_is_the_same_as_without() -> None:
             "^drive: defence 'motion': .* whose helpers tell boxes, team-sight or late .*, found team",
         ),
         (
-            {"fault": ("ghost",), "perception": ("team",)},
+            {"fault": ("ghost",), "perception": ("ego",)},
+            "fault 'ghost:1': expected a perception with helpers, such as team, late or team-sight .*, found ego",
+        ),
+        (
+            {"fault": ("replay:1",), "perception": ("team",)},
             "a perception whose helpers tell boxes, team-sight or late .*, found team",
         ),
         (
