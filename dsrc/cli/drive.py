@@ -198,7 +198,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 made(places, "results and tables")
         if failed := [one for one in gate.verdicts if not one.holds]:
             sys.stderr.write(f"{len(failed)} of {len(gate.verdicts)} conditions fail\n")
-        if failed or all(one.outcome in FAILED for one in result.results):
+        if failed or (result.results and all(one.outcome in FAILED for one in result.results)):
             raise SystemExit(1)
 
     def _watch(self) -> None:
