@@ -268,6 +268,7 @@ def _cooperation() -> Iterator[tuple[str, str]]:
         ("cooperation-detectors", {"ego": "ego", "team": "team", "late": "late"}),
         ("cooperation-boxes", {"": "late", "cpm": "cpm"}),
         ("cooperation-mined", {"mined_sight": "own sight", "mined_team_sight": "team's sight"}),
+        ("cooperation-mined-detectors", {"mined_ego": "ego", "mined_team": "team", "mined_late": "late"}),
         ("redundancy", {"": "cpm", "cpm_dynamics": "cpm-dynamics", "cpm_distance": "cpm-distance"}),
     ):
         result = committed(LOOP / f"{plan}.toml")[1]

@@ -41,6 +41,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         "what-cooperation-gives-by-boxes",
         "what-cooperation-gives-under-faults",
         "what-cooperation-gives-in-mined-encounters",
+        "what-cooperation-gives-in-mined-encounters-with-detectors",
         "redundancy-mitigation",
     }
     assert {name.partition("/")[0] for name, _ in places} == published
