@@ -77,7 +77,12 @@ class Inbox:
                     raise SettingsError(complaint("perception", f"fault '{fault.text}'", expected, found))
 
     def measured(self, agent: AgentFrame, truth: Boxes, time_s: float) -> Sweep:
-        """Return the sweep that a helper shares of an instant where it tells no boxes, see `Attacks.measured`."""
+        """Return the sweep that a helper shares of an instant where it tells no boxes, see `Attacks.measured`.
+
+        Nobody lies before `aim`: a computer that misses its first cycles has told nobody where the ego is.
+        """
+        if not self._aimed:
+            return agent.sweep
         return self._attacks.measured(agent, truth, time_s - (self._start_s or 0.0))
 
     def more_bytes(self, sender: int, seen: Boxes, time_s: float) -> int:

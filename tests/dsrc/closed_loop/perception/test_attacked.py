@@ -53,6 +53,13 @@ def test_a_false_pose_puts_the_hidden_car_elsewhere() -> None:
     ]  # the helper looks back, its left is the ego's right
 
 
+def test_nobody_lies_before_the_ego_has_told_where_it_is() -> None:
+    perception = DetectorPerception(Knowing(GHOST), faults=parse_faults("ghost + remove", "test"))
+    perception.reset(SCENARIO, EGO, 0)
+    perception.overhear(instant(0), instant(1), {})
+    assert len(perception.perceive(instant(1), instant(2), {}).boxes) == 0
+
+
 @pytest.mark.parametrize(
     ("attack", "cooperative", "said"),
     [
