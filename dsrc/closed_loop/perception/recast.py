@@ -7,9 +7,10 @@ import numpy as np
 
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.loop import LoopSettings
-from dsrc.closed_loop.perception.open import MODELLED, WITHOUT_SENSOR, parse_perception, uses_helpers
+from dsrc.closed_loop.perception.open import MODELLED, TELLING, WITHOUT_SENSOR, parse_perception, uses_helpers
 from dsrc.closed_loop.perception.senses import Senses, sensed_every_s
 from dsrc.faults.fault import parse_faults
+from dsrc.messages.inbox import Inbox
 from sensors.corruptions import Condition
 from sensors.frame import AgentFrame, Frame
 from sensors.presets import scenario_lidars
@@ -33,11 +34,16 @@ class RecastSenses:
         self._truth = kind in WITHOUT_SENSOR
         self._cooperative = uses_helpers(kind)
         loop = msgspec.convert(settings.loop, LoopSettings)
-        radio = settings.fault and any(fault.radio for fault in parse_faults(settings.fault, "log"))
+        faults = parse_faults(settings.fault, "log") if settings.fault else ()
+        radio = any(fault.radio for fault in faults)
+        told = kind in TELLING or any(tick.percept is not None and tick.percept.told for tick in log.ticks)
+        self._faults = () if self._truth else faults
+        self._attacked = self._cooperative and not told and any(fault.attack for fault in self._faults)
         at_once = self._truth or not self._cooperative or (settings.channel in ("", IDEAL) and not radio)
         turned_s, told_s = (sensed_every_s(loop.detect_every_s, at_once=one) for one in (self._truth, at_once))
         self._every, self._told_every = (max(1, round(one / settings.scenario.step_s)) for one in (turned_s, told_s))
         self._times = np.array([tick.actors.time_s for tick in log.ticks])
+        self._percepts = sorted({self._measured(row) for row, tick in enumerate(log.ticks) if tick.percept is not None})
         self._senses: Senses | None = None
         self._casting = threading.Lock()
         self.ready = False
@@ -89,9 +95,10 @@ class RecastSenses:
     def _begin(self) -> Senses:
         settings = self._log.settings
         condition = Condition() if self._truth else settings.condition
-        faults = parse_faults(settings.fault, "log") if settings.fault and not self._truth else ()
-        self._senses = Senses(condition, self._cooperative, faults)
+        self._senses = Senses(condition, self._cooperative, self._faults)
         self._senses.reset(settings.scenario, settings.ego_id, settings.seed)
+        self._inbox, self._aimed = Inbox(self._faults, ()), 0
+        self._inbox.reset(settings.seed, settings.ego_id)
         return self._senses
 
     def _frame(self, step: int) -> Frame:
@@ -104,7 +111,19 @@ class RecastSenses:
             earlier = senses.index * self._every
             senses.pass_over(actors[earlier], self._log.ticks[earlier].actors)
         tick = self._log.ticks[step]
-        return senses.frame(actors[step], tick.actors, {} if self._truth else tick.claims)
+        frame = senses.frame(actors[step], tick.actors, {} if self._truth else tick.claims)
+        return self._shared(frame, step) if self._attacked else frame
+
+    def _shared(self, frame: Frame, step: int) -> Frame:
+        """Return what liars shared of a frame, whose ghosts stand by where the ego was at every percept until then."""
+        for row in self._percepts[self._aimed :]:
+            if row > step:
+                break
+            ego = self._log.ticks[row].ego
+            self._inbox.aim(ego.box, ego.route, ego.time_s)
+            self._aimed += 1
+        truth = self._log.ticks[step].actors.boxes
+        return frame.with_sweeps([self._inbox.measured(agent, truth, frame.time_s) for agent in frame.agents])
 
 
 def recast_senses(log: EpisodeLog) -> RecastSenses | None:
