@@ -36,6 +36,7 @@ def test_the_tables_of_the_closed_loop_are_those_of_its_campaigns() -> None:
         "background-traffic",
         "pedestrians-and-bicycles",
         "attacks",
+        "attacks-on-detectors",
         "what-cooperation-gives",
         "what-cooperation-gives-with-detectors",
         "what-cooperation-gives-by-boxes",
