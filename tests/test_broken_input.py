@@ -175,7 +175,7 @@ def test_a_scenario_with_an_unknown_sensor_is_neither_shown_nor_generated(
         (("drive", "four_way", "--fault", "--seed", "1"), "--fault: expected at least one value, found none"),
         (("drive", "ima_queue", "--fault", "misalignment"), "expected one of yaw_deg, pitch_deg"),
         (("drive", "ima_queue", "--fault", "fog:2.5"), "severity: expected a whole number, "),
-        (("drive", "ima_queue", "--perception", "team", "--fault", "ghost"), "in episodes), found team"),
+        (("drive", "ima_queue", "--perception", "cpm", "--fault", "ghost"), "in episodes), found cpm"),
         (("drive", "ima_queue", "--perception", "team-sight", "--defence", "trust"), "another one beside trust"),
         (("drive", "ima_queue", "--defence", "motion"), "expected a perception whose helpers tell boxes"),
         (("drive", "four_way", "--fail-under", "broken<=0"), "--fail-under: expected --baseline beside broken"),

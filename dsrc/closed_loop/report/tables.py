@@ -400,10 +400,10 @@ def _lies(result: CampaignResult) -> Table:
     text = (
         "Of the perceptions whose helpers lie, or that defend themselves. Met: episodes that met their encounter. "
         "Crashed: of these. Needless stops: of all episodes, those in which the ego came to stand for a road user that "
-        "is not there. Arrived: of all episodes. Attacks refused: share of the false objects told that was refused, mean "
-        "over episodes; who fuses clouds or features refuses none. Wrongly refused: of the helpers that did not lie, one each episode, those of "
-        "whom an object was refused. In brackets the interval of 95 %: Wilson's of shares of episodes and helpers, "
-        "bootstrap (BCa) over episodes of attacks refused."
+        "is not there. Arrived: of all episodes. Attacks refused: share of the false objects told that was refused, "
+        "mean over episodes; who fuses clouds or features refuses none. Wrongly refused: of the helpers that did not "
+        "lie, one each episode, those of whom an object was refused. In brackets the interval of 95 %: Wilson's of "
+        "shares of episodes and helpers, bootstrap (BCa) over episodes of attacks refused."
     )
     lied_to = {one.name for one in result.plan.perceptions if one.kind in TELLING}
     faulty = [one for one in result.results if one.fault]
