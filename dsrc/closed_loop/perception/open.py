@@ -32,10 +32,10 @@ CPM = "cpm"
 CPMS = (CPM, *(f"{CPM}-{rule}" for rule in RULES))
 TELLING = (TEAM_SIGHT, LATE)
 """Helpers tell boxes, which the ego can refuse."""
-WHO_TELLS = f"a perception whose helpers tell boxes, {' or '.join(TELLING)} (ETSI's are not defended in episodes)"
+WHO_TELLS = f"a perception whose helpers tell boxes, {' or '.join(TELLING)} (not ETSI's in episodes)"
 MODELLED = "model"
 """Errors of a detector, drawn from a model of them; no sweep is cast."""
-WHO_IS_LIED_TO = "a perception with helpers, such as team, late or team-sight (ETSI's are not attacked in episodes)"
+WHO_IS_LIED_TO = "a perception with helpers, such as team, late or team-sight (not ETSI's in episodes)"
 
 _NAMES = (*WITHOUT_SENSOR, ALONE, TOGETHER, LATE, *CPMS)
 _FORMER = {"dsrc": TOGETHER}

@@ -68,5 +68,5 @@ def test_without_a_message_the_ego_is_alone_and_two_runs_are_the_same(loop: Clos
 def test_what_cannot_tell_boxes_is_refused(loop: ClosedLoop) -> None:
     with pytest.raises(SettingsError, match="agents that tell boxes, as those of late fusion do, found one that fuses"):
         CpmPerception(PointCounter()).reset(loop.scenario, loop.ego_id, 0)
-    with pytest.raises(SettingsError, match=r"fault 'ghost:1': .*ETSI's are not attacked in episodes"):
+    with pytest.raises(SettingsError, match=r"fault 'ghost:1': .*not ETSI's in episodes"):
         open_perception("cpm", fault="ghost")
