@@ -286,13 +286,15 @@ def _cooperation() -> Iterator[tuple[str, str]]:
                 key = f"{name}_{driver}" if driver else name
                 yield f"{key}_crash", _count(met)
                 elsewhere = [one for one in met if one.scenario != "eebl_chain"]
-                yield f"{key}_elsewhere", _count(elsewhere)
+                if apart := len(elsewhere) < len(met):
+                    yield f"{key}_elsewhere", _count(elsewhere)
                 places = {one.scenario for one in met if collided(one)}
                 yield f"{key}_encounters", f"{len(places)} of {len({one.scenario for one in met})}"
                 if perception != first:
                     theirs = [one for one in common if one.perception == f"{first}{more}"]
                     yield f"{key}_against", _compared(met, theirs, collided)
-                    yield f"{key}_against_elsewhere", _compared(elsewhere, theirs, collided)
+                    if apart:
+                        yield f"{key}_against_elsewhere", _compared(elsewhere, theirs, collided)
                 sent, lasted = (sum(one.metrics[what] or 0.0 for one in met) for what in ("sent_mb", "duration_s"))
                 yield f"{key}_kbps", f"{1e3 * sent / lasted:.3g}"
                 if label in rows:

@@ -134,6 +134,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
         )
         from dsrc.closed_loop.causes.episodes import crash_causes
         from dsrc.closed_loop.metrics.detections import calibrations
+        from dsrc.closed_loop.perception.open import WITHOUT_SENSOR
         from dsrc.closed_loop.report.baseline import read_baseline
         from dsrc.closed_loop.report.conditions import check_conditions
         from dsrc.closed_loop.report.findings import Findings
@@ -181,7 +182,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
                 more = Findings(gate, crash_causes(result.plan, result.results, out / "episodes", report))
         if self.out is not None:
             with progress("calibration of detections") as report:
-                keys = [one.key for one in result.results]
+                sure = {one.name for one in plan.perceptions if one.kind in WITHOUT_SENSOR}  # nothing to calibrate
+                keys = [one.key for one in result.results if one.perception not in sure]
                 more = replace(more, calibrations=calibrations(keys, out / "episodes", report))
         console = Console(highlight=False)
         console.print(summary_table(result), *gate.tables())
