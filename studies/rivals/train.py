@@ -4,6 +4,8 @@ What is finished stays, an interrupted training goes on at its last epoch, and a
 that the tables name, under the six corruptions in both families. A sitting on a machine that is given back: `--minutes`
 ends it, and `--kept` is a folder of detector files in half precision, one for each finished training, that is brought
 back and taken to the next. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the plan.
+Processes share the trainings of a question by `--only`, with one folder; `--measure` then measures the lines of which
+all trainings are finished.
 
 Usage:
     python -m studies.rivals.train rivals --data data/dsrc-sim-2 --out runs/rivals
@@ -19,6 +21,7 @@ import signal
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +60,10 @@ def main() -> None:
     parser.add_argument("--recipe", choices=sorted(RECIPES), help="in place of the plan's, to try a small network")
     parser.add_argument("--frames", type=int, help="frames of the benchmark; default: all")
     parser.add_argument("--workers", type=int, default=1, help="processes that prepare batches")
-    parser.add_argument("--list", action="store_true", help="print the plan and train nothing")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="train runs of these names, as *-0, and measure none")
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--measure", action="store_true", help="train nothing, measure the lines that are finished")
+    mode.add_argument("--list", action="store_true", help="print the plan and train nothing")
     options = parser.parse_args()
     begun = time.monotonic()
     if options.minutes is not None:
@@ -65,7 +71,7 @@ def main() -> None:
         signal.setitimer(signal.ITIMER_REAL, 60.0 * options.minutes)
     try:
         measured = list(finished(options))
-        if not options.list:
+        if options.measure or not (options.list or options.only):
             measure(options, measured)
     except (KeyboardInterrupt, SystemExit):
         if options.minutes is None or time.monotonic() - begun < 60.0 * options.minutes:
@@ -83,7 +89,7 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
         steps += run.steps
         start = f"from {run.start}" if run.start else "from random weights"
         print(f"{run.name}: {run.method}, {run.stage}, at most {run.steps} steps, {start}", flush=True)
-        if not options.list:
+        if not (options.list or options.measure) and named(run.name, options):
             begun = time.monotonic()
             finish(run, options)
             print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
@@ -92,18 +98,24 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
     print(f"at most {steps} steps in all")
 
 
+def named(name: str, options: argparse.Namespace) -> bool:
+    """Return whether a run is one of those that this process trains."""
+    return not options.only or any(fnmatch(name, pattern) for pattern in options.only)
+
+
 def finish(run: Training, options: argparse.Namespace) -> None:
     """Train a run that is not finished, and keep its detector."""
     if done(run.name, options) is None:
+        start, teacher = (detector_of(name, options) if name else None for name in (run.start, run.teacher))
         made = train(
             run.recipe(options.share, options.workers),
             options.data / "train",
             options.out / run.name,
             run.stage,
-            teacher=done(run.teacher, options),
+            teacher=teacher,
             validate=options.data / "validation",
             seed=run.seed,
-            init=done(run.start, options),
+            init=start,
         )
         if options.kept:
             options.kept.mkdir(parents=True, exist_ok=True)
@@ -124,7 +136,7 @@ def detector_of(name: str, options: argparse.Namespace) -> Path:
     """Return the detector of a run that is finished."""
     path = done(name, options)
     if path is None:
-        raise FileNotFoundError(name)
+        raise SystemExit(f"{name}: this training comes first and is not finished")
     return path
 
 
@@ -147,6 +159,9 @@ def measure(options: argparse.Namespace, measured: list[Training]) -> None:
     titles: dict[str, list[Training]] = {}
     for run in measured:
         titles.setdefault(run.title, []).append(run)
+    titles = {title: runs for title, runs in titles.items() if all(done(run.name, options) for run in runs)}
+    if not titles:
+        raise SystemExit("measure: no line has all its trainings")
     put_table(None, "costs", HEAD, [cost(title, runs, options) for title, runs in titles.items()])
     lines = [f"name = {json.dumps(options.question)}", 'corruption = ["paper_six"]', 'family = ["paper", "physical"]']
     lines += [f"frames = {options.frames}"] if options.frames else []

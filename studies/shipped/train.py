@@ -77,8 +77,8 @@ class Run:
     def recipe(self, share: float = 1.0, workers: int = 1) -> Recipe:
         """Return its recipe, with a share of its steps."""
         drawn = BATCH * max(round(self.steps * share), 1)
-        frames = min(FRAMES, drawn)
-        size = (f"epochs={max(drawn // frames, 1)}", f"epoch_frames={frames}", f"learning_rate={self.rate}")
+        epochs = max(round(drawn / FRAMES), 1)
+        size = (f"epochs={epochs}", f"epoch_frames={drawn // epochs}", f"learning_rate={self.rate}")
         alone = "augmentation.alone=1" if self.method in ALONE else "augmentation.alone=0.4"
         changes = (*SETTINGS, *size, alone, HALF, f"workers={workers}", *self.settings)
         return override(of_method(RECIPES[self.base](), self.method), changes)

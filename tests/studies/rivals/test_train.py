@@ -9,7 +9,7 @@ import pytest
 from dsrc.data.formats.opv2v.reader import write_frame
 from studies.rivals.questions import CHANGES, DSRC, PLAIN, QUESTIONS, RIVALS, STRONGEST, Training, pairs, parts, rivals
 from studies.shipped.train import STARTS
-from tests.commands import study
+from tests.commands import run_study, study
 from tests.dsrc.training.drive import frame
 
 
@@ -79,3 +79,28 @@ def test_a_sitting_that_ends_goes_on_from_the_detectors_brought_back(tmp_path: P
     assert f"| {PLAIN} | 1 | 1 |" in whole and "v2x-vit" in (tmp_path / "second/benchmark/tables.md").read_text()
     again = study("rivals.train", "scale", *small, *kept, "--out", str(tmp_path / "third"))
     assert not list((tmp_path / "third").glob("*/detector.pt")) and f"| {PLAIN} | 1 | 1 |" in again
+
+
+@pytest.mark.slow
+def test_processes_share_trainings_and_lines_that_are_not_finished_are_not_measured(tmp_path: Path) -> None:
+    for split, first in (("train", 0), ("validation", 10), ("unseen", 20)):
+        for index in range(first, first + (4 if split == "train" else 1)):
+            write_frame(tmp_path / split / f"{split}_drive", frame(index))
+    small = ("--data", str(tmp_path), "--recipe", "debug", "--share", "0.0001", "--workers", "0", "--frames", "1")
+    folder = ("--out", str(tmp_path / "runs"))
+    early = run_study("rivals.train", "scale", *small, *folder, "--only", "attfuse-1")
+    assert early.returncode and early.stderr == "teacher-2: this training comes first and is not finished\n"
+    none = run_study("rivals.train", "scale", *small, *folder, "--measure")
+    assert none.returncode and none.stderr == "measure: no line has all its trainings\n"
+    shared = study("rivals.train", "scale", *small, *folder, "--only", "teacher-?", "attfuse-*", "where2comm-1")
+    assert "GFLOP" not in shared and not (tmp_path / "runs/dsrc-1").exists()
+    study("rivals.train", "scale", *small, *folder, "--measure")
+    table = (tmp_path / "runs/benchmark/tables.md").read_text()
+    assert PLAIN in table and "where2comm" not in table and DSRC not in table
+
+
+@pytest.mark.parametrize("share", [0.01, 0.2, 0.25, 0.33, 1.0])
+def test_a_share_of_a_plan_is_that_share_of_the_steps_of_each_training(share: float) -> None:
+    for run in plan("parts"):
+        recipe = run.recipe(share)
+        assert recipe.epochs * (recipe.epoch_frames or 0) == pytest.approx(4 * run.steps * share, abs=recipe.epochs + 4)
