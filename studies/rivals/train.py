@@ -59,6 +59,7 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0, help="share of the steps, to try the plan")
     parser.add_argument("--recipe", choices=sorted(RECIPES), help="in place of the plan's, to try a small network")
     parser.add_argument("--frames", type=int, help="frames of the benchmark; default: all")
+    parser.add_argument("--docs", type=Path, help="Markdown document that gets the tables; default: none")
     parser.add_argument("--workers", type=int, default=1, help="processes that prepare batches")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="train runs of these names, as *-0, and measure none")
     mode = parser.add_mutually_exclusive_group()
@@ -162,7 +163,9 @@ def measure(options: argparse.Namespace, measured: list[Training]) -> None:
     titles = {title: runs for title, runs in titles.items() if all(done(run.name, options) for run in runs)}
     if not titles:
         raise SystemExit("measure: no line has all its trainings")
-    put_table(None, "costs", HEAD, [cost(title, runs, options) for title, runs in titles.items()])
+    put_table(
+        options.docs, f"{options.question}_costs", HEAD, [cost(title, runs, options) for title, runs in titles.items()]
+    )
     lines = [f"name = {json.dumps(options.question)}", 'corruption = ["paper_six"]', 'family = ["paper", "physical"]']
     lines += [f"frames = {options.frames}"] if options.frames else []
     for title, runs in titles.items():
@@ -176,7 +179,7 @@ def measure(options: argparse.Namespace, measured: list[Training]) -> None:
     plan = options.out / "benchmark.toml"
     write_file(plan, "\n".join(lines) + "\n", edited=True)
     device: Device = "cuda" if torch.cuda.is_available() else "cpu"
-    Benchmark(plan=plan, out=options.out / "benchmark", device=device).run()
+    Benchmark(plan=plan, out=options.out / "benchmark", docs=options.docs, device=device).run()
 
 
 def cost(title: str, runs: list[Training], options: argparse.Namespace) -> tuple[str, ...]:
