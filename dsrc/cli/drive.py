@@ -123,7 +123,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     def _drive(self, out: Path) -> None:
         from rich.console import Console
 
-        from dsrc.closed_loop.campaign.plan import campaign_of, late_messages
+        from dsrc.closed_loop.campaign.jobs import late_messages
+        from dsrc.closed_loop.campaign.read import campaign_of
         from dsrc.closed_loop.campaign.run import (
             engines_there,
             estimate_s,
@@ -206,7 +207,8 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     def _watch(self) -> None:
         """Drive one episode before the eyes of a page; its log goes to `out`."""
         from dsrc.closed_loop.campaign.episode import drive_episode
-        from dsrc.closed_loop.campaign.plan import campaign_of, episodes_of
+        from dsrc.closed_loop.campaign.jobs import episodes_of
+        from dsrc.closed_loop.campaign.read import campaign_of
         from dsrc.closed_loop.loop import ClosedLoop
         from dsrc.review.page.app import LivePage
         from dsrc.review.sources.episodes import EpisodeSource
@@ -238,7 +240,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     def _search(self) -> None:
         from rich.console import Console
 
-        from dsrc.closed_loop.campaign.plan import campaign_of
+        from dsrc.closed_loop.campaign.read import campaign_of
         from dsrc.closed_loop.campaign.search import search, search_table, search_text
 
         assert self.critical is not None
@@ -250,7 +252,7 @@ class Drive(DriveOptions, frozen=True, kw_only=True):
     def _replay(self) -> None:
         from rich.console import Console
 
-        from dsrc.closed_loop.campaign.plan import campaign_of
+        from dsrc.closed_loop.campaign.read import campaign_of
         from dsrc.closed_loop.campaign.run import replay_at
         from dsrc.closed_loop.log import EpisodeLog
         from dsrc.closed_loop.report.terminal import comparison_table

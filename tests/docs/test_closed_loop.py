@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 
-from dsrc.closed_loop.campaign.plan import episodes_of
+from dsrc.closed_loop.campaign.jobs import episodes_of
 from dsrc.closed_loop.campaign.run import CampaignResult
 from dsrc.closed_loop.report.report import markdown, sections
 from dsrc.faults.fault import faults_text

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dsrc.closed_loop.campaign.plan import is_campaign, read_campaign
+from dsrc.closed_loop.campaign.read import is_campaign, read_campaign
 from dsrc.closed_loop.campaign.run import read_results
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.data.checksums import read_checksums

@@ -28,15 +28,9 @@ from dsrc.closed_loop.campaign.episode import (
     read_result,
     stored_settings,
 )
-from dsrc.closed_loop.campaign.plan import (
-    Campaign,
-    campaign_of,
-    careful_of,
-    controls_of,
-    detector_hash,
-    episodes_of,
-    with_engine,
-)
+from dsrc.closed_loop.campaign.jobs import careful_of, controls_of, detector_hash, episodes_of
+from dsrc.closed_loop.campaign.plan import Campaign, with_engine
+from dsrc.closed_loop.campaign.read import campaign_of
 from dsrc.closed_loop.driving.open import driver_sha256, is_own, open_driver
 from dsrc.closed_loop.log import EpisodeLog
 from dsrc.closed_loop.metrics.episode import EpisodeMetrics
@@ -122,7 +116,7 @@ def run_campaign(
     """Drive the episodes missing in `out/episodes`, and write results.csv and controls.csv.
 
     Args:
-        plan: a valid campaign, see `dsrc.closed_loop.campaign.plan.check`.
+        plan: a valid campaign, see `dsrc.closed_loop.campaign.check`.
         pool: workers; the results are the same for any.
         progress: called with episodes done and episodes missing at the start.
         known: results of episodes that are not driven again, by key, see `read_results`; `out` keeps them.

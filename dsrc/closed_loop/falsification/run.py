@@ -16,8 +16,11 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from dsrc.closed_loop.campaign.check import check
 from dsrc.closed_loop.campaign.episode import EpisodeJob, EpisodeResult, episode_key
-from dsrc.closed_loop.campaign.plan import Campaign, campaign_of, check, episodes_of
+from dsrc.closed_loop.campaign.jobs import episodes_of
+from dsrc.closed_loop.campaign.plan import Campaign
+from dsrc.closed_loop.campaign.read import campaign_of
 from dsrc.closed_loop.campaign.run import EPISODES
 from dsrc.closed_loop.causes.episodes import crash_causes
 from dsrc.closed_loop.falsification.optimizers import ROUND, Optimizer, open_optimizer

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dsrc
-from dsrc.closed_loop.campaign.plan import read_campaign
+from dsrc.closed_loop.campaign.read import read_campaign
 from dsrc.data.mine import TABLE, mine
 from sensors.recording.encounter_check import CONFLICT_ID, EGO_ID, last_chance, prove_encounter, roll_out
 from sensors.recording.mining import PROVEN, Finding, judge

@@ -20,12 +20,11 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from dsrc.cli.drive import Drive
-from dsrc.closed_loop.campaign import plan as planning
+from dsrc.closed_loop.campaign import jobs
 from dsrc.closed_loop.campaign import run as runner
 from dsrc.closed_loop.campaign.episode import decisive, episode_key
-from dsrc.closed_loop.campaign.plan import (
-    PerceptionSpec,
-)
+from dsrc.closed_loop.campaign.plan import PerceptionSpec
+from dsrc.closed_loop.campaign.read import read_campaign
 from dsrc.closed_loop.campaign.run import (
     drive_episodes,
     engines_there,
@@ -109,7 +108,7 @@ def test_results_of_another_folder_are_not_driven_again(driven: Path, tmp_path: 
 def test_episodes_of_other_code_are_taken_from_an_earlier_folder(
     driven: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(planning, "code_hash", lambda name: "another")
+    monkeypatch.setattr(jobs, "code_hash", lambda name: "another")
     out = tmp_path / "new code"
     assert take_episodes(PLAN, out, [driven]) == 4
     again = run_campaign(PLAN, out)
@@ -236,9 +235,9 @@ def test_a_driver_of_one_s_own_that_fails_is_a_row_and_the_campaign_goes_on(
     (row,) = rows(tmp_path)
     assert (row["outcome"], row["message"]) == ("driver failed", "ZeroDivisionError: nobody is there")
     assert "truth: driver failed in 1 of 1 episodes: ZeroDivisionError" in capsys.readouterr().out
-    job = planning.episodes_of(replace(PLAN, driver=f"{EYES}:Fainting"))[0]
+    job = jobs.episodes_of(replace(PLAN, driver=f"{EYES}:Fainting"))[0]
     assert job.driver_sha256 and "driver_sha256" in decisive(job)
-    assert "driver_sha256" not in decisive(planning.episodes_of(PLAN)[0])
+    assert "driver_sha256" not in decisive(jobs.episodes_of(PLAN)[0])
     assert episode_key(job) != episode_key(replace(job, driver_sha256="another source"))
     log = tmp_path / f"episodes/{row['key']}.npz"
     assert EpisodeLog.load(log).settings.driver_sha256 == job.driver_sha256
@@ -253,7 +252,7 @@ def test_a_plan_starts_no_program_for_a_driver_and_knows_those_that_are_unknown(
     for driver, words in (("pipe:python drive.py", "no command"), ("planing", "did you mean 'planning'")):
         plan.write_text(f"scenarios = ['lta_truck']\ndriver = '{driver}'\n[[perceptions]]\nname = 'truth'\n")
         with pytest.raises(SettingsError, match=words) as raised:
-            planning.read_campaign(plan)
+            read_campaign(plan)
         assert str(raised.value).startswith(f"{plan}: driver: ")
 
 

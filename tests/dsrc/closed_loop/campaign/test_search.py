@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dsrc.closed_loop.campaign import search as searching
-from dsrc.closed_loop.campaign.plan import campaign_of
+from dsrc.closed_loop.campaign.read import campaign_of
 from dsrc.closed_loop.campaign.search import search, search_table, search_text
 from dsrc.closed_loop.types import Outcome, Percept
 from dsrc.faults.fault import faults_text

@@ -7,7 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from dsrc.closed_loop.campaign.plan import campaign_of, episodes_of
+from dsrc.closed_loop.campaign.jobs import episodes_of
+from dsrc.closed_loop.campaign.read import campaign_of
 from dsrc.closed_loop.perception.error_model.fit import fit_errors
 from dsrc.closed_loop.perception.error_model.model import Chain, Doubles, ErrorModel, Errors, write_model
 from dsrc.closed_loop.perception.error_model.perception import ModelPerception
