@@ -1,7 +1,7 @@
 """Tables of report.md: what each method or part gives, with intervals by drive and over trainings.
 
-They are made from the differences that `dsrc benchmark` wrote beside the report; `studies.rivals.train QUESTION --docs
-studies/rivals/report.md` brings these there, and then runs this.
+They are made from the differences that `dsrc benchmark` wrote beside the report, where `studies.rivals.train QUESTION
+--docs studies/rivals/report.md` brings them.
 
 Usage:
     python -m studies.rivals.page
@@ -18,6 +18,7 @@ from dsrc.evaluation.metrics.intervals import LEVEL, Difference, Interval
 from dsrc.evaluation.results import CLEAN, MEAN_CORRUPTED
 from dsrc.tables.document import replace_block
 from dsrc.tables.table import Column, Strong, Table, TableRow
+from studies.look import COLORS, FAINT, HIGHLIGHT, new_figure, save, style
 from studies.rivals.questions import QUESTIONS
 
 PAGE = Path(__file__).with_name("report.md")
@@ -40,6 +41,7 @@ def main() -> None:
     for question in QUESTIONS:
         for folder in sorted(PAGE.with_suffix("").glob(f"{question}/*/differences.csv")):
             replace_block(PAGE, f"{question}_gains", gains(folder.parent).markdown())
+            draw(folder.parent)
             print(f"{PAGE}: {question}")
 
 
@@ -66,19 +68,61 @@ def over_trainings(one: Difference, pairs: int) -> Interval:
 def gains(folder: Path) -> Table:
     """Table of the differences of a benchmark: a row per pair of methods.
 
-    A cell has the difference, its interval by drive in brackets and that over trainings in parentheses; bold where both
-    exclude 0.
+    A cell has the difference, its interval by drive in brackets and that over trainings in parentheses; bold where it
+    is resolved.
     """
     files = {name: read_differences(folder / f"{name}.csv") for name in {name for _, name, _, _ in SHOWN}}
-    pairs = dict.fromkeys((method, baseline) for method, baseline, _, _ in files["differences"])
     rows = [
         TableRow(
             f"{method} − {baseline}",
             tuple(_cell(*files[name][method, baseline, kind, iou]) for _, name, kind, iou in SHOWN),
         )
-        for method, baseline in pairs
+        for method, baseline in pairs_of(folder)
     ]
     return Table("gains", "", "difference", tuple(Column(title) for title, *_ in SHOWN), tuple(rows))
+
+
+def draw(folder: Path) -> Path:
+    """Draw the differences at an overlap of 0.7 in the mean of the corruptions, with both intervals."""
+    panels = [column for column in SHOWN if column[2:] == (MEAN_CORRUPTED, 0.7)]
+    with style():
+        pairs = pairs_of(folder)
+        note = (
+            "Points of AP@0.7, mean of six corruptions. Thick: 95 % by drive. Thin: 95 % over trainings (Student's t)."
+        )
+        figure = new_figure(9.5, 1.5 + 0.27 * len(pairs), "What each factor gives", note)
+        for axes, (title, name, kind, iou) in zip(figure.subplots(1, len(panels), sharey=True), panels, strict=True):
+            found = read_differences(folder / f"{name}.csv")
+            for row, pair in enumerate(pairs):
+                one, count = found[*pair, kind, iou]
+                trained, resolved = over_trainings(one, count), resolves(one, count)
+                color = HIGHLIGHT if resolved else COLORS[0]
+                axes.plot([100.0 * bound for bound in trained], [row, row], color=color, lw=1.0)
+                axes.plot([100.0 * bound for bound in one.by_drive], [row, row], color=color, lw=4.0, alpha=0.55)
+                axes.plot(100.0 * one.value.mean, row, "o", color=color, ms=5.0)
+            axes.axvline(0.0, color=FAINT, lw=0.8)
+            axes.set_title(title.partition(",")[0])
+            axes.grid(axis="x")
+            axes.set_yticks(range(len(pairs)), labels=[f"{method} − {baseline}" for method, baseline in pairs])
+        axes.invert_yaxis()
+        return save(figure, folder / "gains.png", 64)
+
+
+def pairs_of(folder: Path) -> list[tuple[str, str]]:
+    """Pairs of methods of a benchmark, in their order."""
+    return list(
+        dict.fromkeys((method, baseline) for method, baseline, *_ in read_differences(folder / "differences.csv"))
+    )
+
+
+def resolves(one: Difference, pairs: int) -> bool:
+    """Whether a difference exceeds what other drives and other trainings change together.
+
+    The one interval holds the trainings fixed, the other the drives; their bounds next to 0 are added in quadrature.
+    """
+    trained, sign = over_trainings(one, pairs), math.copysign(1.0, one.value.mean)
+    bounds = (interval.low if sign > 0.0 else interval.high for interval in (one.by_drive, trained))
+    return abs(one.value.mean) > math.hypot(*(abs(one.value.mean - bound) for bound in bounds))
 
 
 def _cell(one: Difference, pairs: int) -> str:
@@ -87,7 +131,7 @@ def _cell(one: Difference, pairs: int) -> str:
     if math.isnan(trained.low):
         return text
     text += f" ({trained.points[1:-1]})"
-    return Strong(text) if one.by_drive.excludes_zero and trained.excludes_zero else text
+    return Strong(text) if resolves(one, pairs) else text
 
 
 if __name__ == "__main__":

@@ -1,12 +1,11 @@
 """Plans of the trainings of three questions: rivals, parts of DSRC, the paper's scale.
 
 A plan is a generator: what it yields is trained before it goes on, so that later trainings may depend on how earlier
-ones ended. It asks by `score`: AP@0.5 + AP@0.7 on the validation drives, clean; NaN of a training that is not finished.
+ones ended. It asks by `score`: AP@0.5 + AP@0.7 on the validation drives, clean.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dsrc.training.recipes import METHODS
 from studies.shipped.train import Run
@@ -15,13 +14,15 @@ Score = Callable[[str], float]
 PLAIN, DSRC = "plain twin", "DSRC"
 RIVALS = tuple(name for name in METHODS if name != "attfuse" and not name.startswith("dsrc"))
 """Methods that are compared with DSRC and its plain twin."""
+REFERENCES = ("no-collaboration", "max-map")
+"""Of these those that are nobody's method: never among the strongest."""
 RATES = (5e-4, 1.5e-3)
+DOUBLED = (1000, 2000, 4000, 8000)
+"""Lengths of a method's trainings, steps, each with its own fall of the rate, until a longer one is not better."""
 SEEDS, STRONG_SEEDS, STRONGEST, PART_SEEDS = 5, 3, 4, 3
 """Trainings of DSRC and its twin, and of the strongest rivals; their number; trainings of each part."""
 VALIDATED = ("keep=best", "validate_every=2", "validation_frames=140")
 """A validation every 500 steps; the best weights count."""
-PLATEAU = (*VALIDATED, "patience=4")
-"""Four validations without a better AP@0.5 + AP@0.7 end a training."""
 WIDE = (
     *("pillar_channels=64", "stage_channels=[64,128,256]", "base_width=26"),
     *("decoder_channels=128", "shrink_channels=256", "reconstruction_channels=[64,16]"),
@@ -56,23 +57,30 @@ Plan = Callable[[Score], Iterator[Training]]
 
 
 def rivals(score: Score) -> Iterator[Training]:
-    """Yield DSRC, its plain twin and twelve rivals, each with its own rate and length, from the same network.
+    """Yield DSRC, its plain twin and the rivals, each with its own rate and length, from the same network.
 
-    The four rivals that are best after their first training have two more, DSRC and its twin four.
+    The first length is tried with both rates; it is doubled until the longer training is not better. The four rivals
+    that are best after their first training have two more, DSRC and its twin four.
     """
     yield from _starts()
-    titles, rates = {"attfuse": PLAIN, "dsrc": DSRC} | {name: name for name in RIVALS}, dict[str, float]()
+    titles, best = {"attfuse": PLAIN, "dsrc": DSRC} | {name: name for name in RIVALS}, dict[str, Training]()
     for method, title in titles.items():
         trials = {f"{method}-rate-{rate:g}": rate for rate in RATES}
         for name, rate in trials.items():
-            yield _student(name, method, "", 1000, rate)
-        rates[method] = trials[_best(list(trials), score)[0]]
-        yield _student(f"{method}-0", method, title, 10_000, rates[method], settings=PLATEAU)
-    firsts = {f"{name}-0": name for name in RIVALS}
-    strongest = [firsts[name] for name in _best(list(firsts), score)[:STRONGEST]]
+            yield _student(name, method, "", DOUBLED[0], rate)
+        name = max(trials, key=score)
+        best[method] = _student(name, method, "", DOUBLED[0], trials[name])
+        for steps in DOUBLED[1:]:
+            yield (longer := _student(f"{method}-{steps}", method, "", steps, trials[name]))
+            if score(longer.name) <= score(best[method].name):
+                break
+            best[method] = longer
+        yield replace(best[method], title=title)
+    candidates = [name for name in RIVALS if name not in REFERENCES]
+    strongest = sorted(candidates, key=lambda name: -score(best[name].name))[:STRONGEST]
     for seed in range(1, SEEDS):
         for method in ("attfuse", "dsrc", *(strongest if seed < STRONG_SEEDS else ())):
-            yield _student(f"{method}-{seed}", method, titles[method], 10_000, rates[method], seed, settings=PLATEAU)
+            yield replace(best[method], name=f"{method}-seed-{seed}", title=titles[method], seed=seed)
 
 
 def parts(score: Score) -> Iterator[Training]:
@@ -123,14 +131,12 @@ QUESTIONS: dict[str, Plan] = {"rivals": rivals, "parts": parts, "scale": scale}
 
 def pairs(titles: Sequence[str]) -> list[tuple[str, str]]:
     """Return the methods whose difference is asked for: DSRC and each other, but twins of one length and width."""
-    found = []
-    for title in titles:
-        head, _, change = title.partition(", ")
-        if head == DSRC and f"{PLAIN}, {change}" in titles:
-            found.append((title, f"{PLAIN}, {change}"))
-        elif title != DSRC and not (head == PLAIN and f"{DSRC}, {change}" in titles):
-            found.append((DSRC, title))
-    return found
+    twins = (*filter(None, LENGTHS), "wide")
+    alike = [(f"{DSRC}, {change}", f"{PLAIN}, {change}") for change in twins]
+    others = [
+        (DSRC, title) for title in titles if title != DSRC and title not in {name for pair in alike for name in pair}
+    ]
+    return [pair for pair in [*others, *alike] if set(pair) <= set(titles)]
 
 
 def _starts() -> Iterator[Training]:
@@ -159,8 +165,3 @@ def _student(
     if method.startswith("dsrc"):
         return Training(name, method, "student", start, steps, rate, taught, seed, settings, base, title)
     return Training(name, method, "plain", start, steps, rate, "", seed, settings, base, title)
-
-
-def _best(names: Sequence[str], score: Score) -> list[str]:
-    """Return names of trainings, the best first; unfinished ones last, in their order."""
-    return sorted(names, key=lambda name: math.inf if math.isnan(value := score(name)) else -value)

@@ -15,7 +15,6 @@ Usage:
 
 import argparse
 import json
-import math
 import shutil
 import signal
 import time
@@ -23,6 +22,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -84,10 +84,13 @@ def main() -> None:
 
 def finished(options: argparse.Namespace) -> Iterator[Training]:
     """Finish the trainings of a question one after the other; yield those that are measured."""
-    steps = 0
-    for one in QUESTIONS[options.question](lambda name: score(name, options)):
-        run = replace(one, base=options.recipe or one.base)
-        steps += run.steps
+    known: dict[str, Training] = {}
+
+    def ranked(name: str) -> float:
+        return float(known[name].steps) if options.list else sum(validated(name, options))
+
+    for one in QUESTIONS[options.question](ranked):
+        run = known[one.name] = replace(one, base=options.recipe or one.base)
         start = f"from {run.start}" if run.start else "from random weights"
         print(f"{run.name}: {run.method}, {run.stage}, at most {run.steps} steps, {start}", flush=True)
         if not (options.list or options.measure) and named(run.name, options):
@@ -96,7 +99,7 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
             print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
         if run.title:
             yield run
-    print(f"at most {steps} steps in all")
+    print(f"at most {sum(run.steps for run in known.values())} steps in all")
 
 
 def named(name: str, options: argparse.Namespace) -> bool:
@@ -142,17 +145,10 @@ def detector_of(name: str, options: argparse.Namespace) -> Path:
 
 
 def validated(name: str, options: argparse.Namespace) -> tuple[float, float]:
-    """Return AP@0.5 and AP@0.7 of a run on the validation drives; NaN of one that is not finished."""
-    path = done(name, options)
-    metrics = {} if path is None else read_meta(path).get("metrics")
-    found = metrics if isinstance(metrics, dict) else {}
-    half, seven = (float(found.get(f"val/ap_bev_{iou}", math.nan)) for iou in (50, 70))
+    """Return AP@0.5 and AP@0.7 of a finished run on the validation drives."""
+    metrics: Any = read_meta(detector_of(name, options))["metrics"]
+    half, seven = (float(metrics[f"val/ap_bev_{iou}"]) for iou in (50, 70))
     return half, seven
-
-
-def score(name: str, options: argparse.Namespace) -> float:
-    """Return the sum by which trainings are ranked."""
-    return sum(validated(name, options))
 
 
 def measure(options: argparse.Namespace, measured: list[Training]) -> None:
@@ -166,7 +162,7 @@ def measure(options: argparse.Namespace, measured: list[Training]) -> None:
     put_table(
         options.docs, f"{options.question}_costs", HEAD, [cost(title, runs, options) for title, runs in titles.items()]
     )
-    lines = [f"name = {json.dumps(options.question)}", 'corruption = ["paper_six"]', 'family = ["paper", "physical"]']
+    lines = [f"name = {json.dumps(options.question)}", 'corruption = ["paper_six"]', 'family = ["physical", "paper"]']
     lines += [f"frames = {options.frames}"] if options.frames else []
     for title, runs in titles.items():
         files = [str(detector_of(run.name, options).resolve()) for run in runs]
@@ -191,8 +187,9 @@ def cost(title: str, runs: list[Training], options: argparse.Namespace) -> tuple
         detector.detect(sample)
     steps, ap = [], np.array([validated(run.name, options) for run in runs]).mean(axis=0)
     for run in runs:
-        recipe, epoch = run.recipe(options.share), read_meta(detector_of(run.name, options))["epoch"]
-        steps.append((int(str(epoch)) + 1) * (recipe.epoch_frames or 0) // recipe.batch_size)
+        meta: Any = read_meta(detector_of(run.name, options))
+        recipe = meta["settings"]["recipe"]
+        steps.append((meta["epoch"] + 1) * recipe["epoch_frames"] // recipe["batch_size"])
     millions = 1e-6 * sum(weight.numel() for weight in detector.parameters())
     sizes = f"{millions:.2f}", f"{1e-9 * counter.get_total_flops():.0f}"
     return title, str(len(runs)), " ".join(map(str, steps)), *sizes, " / ".join(f"{100.0 * value:.1f}" for value in ap)
