@@ -17,6 +17,7 @@ from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.metrics.comparison import Value, arrived, collided, counted, pairs
 from dsrc.closed_loop.metrics.statistics import PairedRates, paired_rates, rate
 from dsrc.closed_loop.report.tables import parts_of, tables
+from dsrc.closed_loop.types import Outcome
 from studies.closed_loop.page import committed
 from studies.dsrc_paper.published import published_tables
 
@@ -74,6 +75,7 @@ def numbers() -> dict[str, str]:
             *_counts(),
             *_differences(),
             *_thresholds(),
+            *_snow(),
             *_average_precision(),
             *_ranks(),
             *_demo(),
@@ -151,6 +153,19 @@ def _thresholds() -> Iterator[tuple[str, str]]:
             cells[f"{title}, {iou}"][score].strip("*").replace("[+", "[").replace(", +", ", ") for iou in (0.5, 0.7)
         )
         yield name, " / ".join(both)
+
+
+def _snow() -> Iterator[tuple[str, str]]:
+    """Yield AP at 0.5 / 0.7 of small-dsrc in our snow, alone and with helpers, and the gain at 0.5."""
+    rows = [row for row in _rows(REPORT / "snow.csv") if row["detector"] == "small-dsrc"]
+    first = next(place for place, row in enumerate(rows) if row["line"] == "**snow, ours**")
+    for name, row in zip(("snow", "dropped"), rows[first:], strict=False):
+        if row["condition"] != "snow 3" or (row["use"] == "drop_lone_points True") != (name == "dropped"):
+            raise ValueError("snow.csv: the lines of our snow are others")
+        for who in ("alone", "team"):
+            yield f"{name}_{who}", " / ".join(f"{float(row[f'{who}_{iou}']):.1f}" for iou in (0.5, 0.7))
+        gain = float(row["team_0.5"]) - float(row["alone_0.5"])
+        yield f"{name}_gain", f"{gain:+.1f} [{float(row['low']):.1f}, {float(row['high']):.1f}]"
 
 
 def _average_precision() -> Iterator[tuple[str, str]]:
@@ -260,7 +275,8 @@ def _cooperation() -> Iterator[tuple[str, str]]:
     """Yield what eyes give to a driver: crashes, and time and braking where it arrives with all of its eyes.
 
     `_against`: crashes of one side only, in pairs with the driver's first eyes; `_encounters`: those with a crash;
-    `_elsewhere`: without `eebl_chain`, where most crashes of who anticipates are; `_kbps`: what helpers send, kB/s.
+    `_unknown`: crashes in encounters with a class that the detector lacks; `_elsewhere`: without `eebl_chain`, where
+    most crashes of who anticipates are; `_kbps`: what helpers send, kB/s.
     Eyes without a name are the first of their campaign alone, since another one yields their numbers.
     """
     for plan, eyes in (
@@ -272,7 +288,7 @@ def _cooperation() -> Iterator[tuple[str, str]]:
         ("redundancy", {"": "cpm", "cpm_dynamics": "cpm-dynamics", "cpm_distance": "cpm-distance"}),
     ):
         result = committed(LOOP / f"{plan}.toml")[1]
-        pace, common = tables(result).get("pace"), parts_of(result)[0]
+        pace, (common, apart) = tables(result).get("pace"), parts_of(result)
         heads = [column.title for column in pace.columns] if pace else []
         rows = {row.label: dict(zip(heads, map(str, row.cells), strict=True)) for row in (pace.rows if pace else ())}
         first, *_ = eyes.values()
@@ -285,15 +301,18 @@ def _cooperation() -> Iterator[tuple[str, str]]:
                     continue
                 key = f"{name}_{driver}" if driver else name
                 yield f"{key}_crash", _count(met)
+                if unknown := [one for one in apart if one.perception == label]:
+                    crashed = sum(one.outcome == Outcome.CRASHED for one in unknown)
+                    yield f"{key}_unknown", f"{crashed} of {len(unknown)}"
                 elsewhere = [one for one in met if one.scenario != "eebl_chain"]
-                if apart := len(elsewhere) < len(met):
+                if fewer := len(elsewhere) < len(met):
                     yield f"{key}_elsewhere", _count(elsewhere)
                 places = {one.scenario for one in met if collided(one)}
                 yield f"{key}_encounters", f"{len(places)} of {len({one.scenario for one in met})}"
                 if perception != first:
                     theirs = [one for one in common if one.perception == f"{first}{more}"]
                     yield f"{key}_against", _compared(met, theirs, collided)
-                    if apart:
+                    if fewer:
                         yield f"{key}_against_elsewhere", _compared(elsewhere, theirs, collided)
                 sent, lasted = (sum(one.metrics[what] or 0.0 for one in met) for what in ("sent_mb", "duration_s"))
                 yield f"{key}_kbps", f"{1e3 * sent / lasted:.3g}"
