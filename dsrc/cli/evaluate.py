@@ -260,7 +260,14 @@ class Score(Scoring, frozen=True, kw_only=True):
         if self.out is not None:
             check_folder(self.out)
         with progress(f"score {self.detections}") as report:
-            found = score(self.detections, self.truth, self.protocol, corruption=self.corruption, progress=report)
+            found = score(
+                self.detections,
+                self.truth,
+                self.protocol,
+                score_threshold=self.score_threshold,
+                corruption=self.corruption,
+                progress=report,
+            )
         Console(highlight=False).print(*score_tables(found), sep="\n")
         if self.out is not None:
             write_scores(self.out, found, provenance_of(self))

@@ -170,6 +170,20 @@ def test_the_command_writes_tables_with_the_card_beside_each_number(
     assert (tmp_path / "scores" / "scores.png").stat().st_size > 10_000
 
 
+def test_a_threshold_leaves_out_what_is_below_it(
+    world: tuple[Path, dict[FrameKey, Detections]], tmp_path: Path
+) -> None:
+    root, frames = world
+    least = float(np.median(np.concatenate([found.score for found in frames.values()])))
+    kept = {key: found[found.score >= least] for key, found in frames.items()}
+    assert 0 < sum(map(len, kept.values())) < sum(map(len, frames.values()))
+    whole = as_json(tmp_path / "boxes.json", frames), root / "data", "all"
+    known = score(as_json(tmp_path / "kept.json", kept), root / "data", "all")
+    assert numbers(score(*whole, score_threshold=least)) == numbers(known) != numbers(score(*whole))
+    labels = as_kitti(tmp_path / "labels", frames)
+    assert numbers(score(labels, root / "data", "all", score_threshold=least)) == pytest.approx(numbers(known))
+
+
 def test_the_command_refuses_in_one_line(
     world: tuple[Path, dict[FrameKey, Detections]], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -184,6 +198,7 @@ def test_the_command_refuses_in_one_line(
             "score: protocol: expected the name of a protocol, found kitti",
         ),
         ([boxes, "--truth", data, "--out", boxes], f"{boxes}: output: expected a folder, found a file"),
+        ([boxes, "--truth", data, "--score-threshold", "2"], "score: score_threshold: expected 0 to 1, found 2"),
         ([str(one)], f"{one}: detections: expected the folder of such files, found one of them"),
         (
             [boxes, "--truth", data, "--protocol", "kitti-easy-r40"],
