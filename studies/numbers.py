@@ -104,10 +104,7 @@ def _counts() -> Iterator[tuple[str, str]]:
     yield "frames_small", _only({row["frames"] for row in _rows(REPORT / "dsrc-sim-small/results.csv")})
     yield "trainings", str(len({row["training"] for row in twins}))
     main = _episodes("campaign")
-    yield "encounters", str(len({one.scenario for one in main}))
-    yield "seeds_clean", str(len({one.seed for one in _of(main, ALONE, corrupted=False)}))
     yield "seeds_corrupted", str(len({one.seed for one in _of(main, ALONE, corrupted=True)}))
-    yield "episodes_clean", _only({str(len(_of(main, eyes, corrupted=False))) for eyes in (ALONE, TEAM)})
 
 
 def _only(values: set[str]) -> str:
@@ -164,8 +161,9 @@ def _snow() -> Iterator[tuple[str, str]]:
             raise ValueError("snow.csv: the lines of our snow are others")
         for who in ("alone", "team"):
             yield f"{name}_{who}", " / ".join(f"{float(row[f'{who}_{iou}']):.1f}" for iou in (0.5, 0.7))
-        gain = float(row["team_0.5"]) - float(row["alone_0.5"])
-        yield f"{name}_gain", f"{gain:+.1f} [{float(row['low']):.1f}, {float(row['high']):.1f}]"
+        if name == "snow":
+            gain = float(row["team_0.5"]) - float(row["alone_0.5"])
+            yield "snow_gain", f"{gain:+.1f} [{float(row['low']):.1f}, {float(row['high']):.1f}]"
 
 
 def _average_precision() -> Iterator[tuple[str, str]]:

@@ -219,14 +219,14 @@ class Scoring(msgspec.Struct, frozen=True, kw_only=True):
             OpenCOOD's 0000_pred.npy.
         truth: tree of the true boxes: OPV2V, V2V4Real, DAIR-V2X-C or KITTI; default: those stored with the detections.
         protocol: published protocols.
-        score_threshold: least score of the boxes that count, 0 to 1.
+        score_threshold: least score of the boxes that count; default: all.
         corruption: corruption of stored results.
     """
 
     detections: Positional[Annotated[Path, arg(metavar="DETECTIONS")]]
     truth: Folder | None = None
     protocol: Annotated[tuple[str, ...], choice(("all", *PROTOCOLS), several=True)] = ("all",)
-    score_threshold: float = 0.0
+    score_threshold: float | None = None
     corruption: Annotated[str, choice(("clean", "all", *CORRUPTIONS))] = "clean"
 
 

@@ -31,6 +31,8 @@ SHOWN = (
     ("clean, AP@0.7", "differences", CLEAN, 0.7),
 )
 """Columns: title, file, condition and overlap."""
+TITLES = {"rivals": "DSRC and its rivals", "parts": "What each factor gives", "scale": "At the paper's size"}
+"""Titles of the figures."""
 
 
 def main() -> None:
@@ -38,10 +40,13 @@ def main() -> None:
     argparse.ArgumentParser(
         description=description, epilog=usage, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args()
-    for question in QUESTIONS:
-        for folder in sorted(PAGE.with_suffix("").glob(f"{question}/*/differences.csv")):
-            replace_block(PAGE, f"{question}_gains", gains(folder.parent).markdown())
-            draw(folder.parent)
+    found = {question: sorted(PAGE.with_suffix("").glob(f"{question}/*/differences.csv")) for question in QUESTIONS}
+    if not any(found.values()):
+        raise SystemExit(f"{PAGE}: no results beside it; studies.rivals.train --docs brings them")
+    for question, files in found.items():
+        for file in files:
+            replace_block(PAGE, f"{question}_gains", gains(file.parent).markdown())
+            draw(file.parent, TITLES[question])
             print(f"{PAGE}: {question}")
 
 
@@ -82,7 +87,7 @@ def gains(folder: Path) -> Table:
     return Table("gains", "", "difference", tuple(Column(title) for title, *_ in SHOWN), tuple(rows))
 
 
-def draw(folder: Path) -> Path:
+def draw(folder: Path, about: str) -> Path:
     """Draw the differences at an overlap of 0.7 in the mean of the corruptions, with both intervals."""
     panels = [column for column in SHOWN if column[2:] == (MEAN_CORRUPTED, 0.7)]
     with style():
@@ -90,7 +95,7 @@ def draw(folder: Path) -> Path:
         note = (
             "Points of AP@0.7, mean of six corruptions. Thick: 95 % by drive. Thin: 95 % over trainings (Student's t)."
         )
-        figure = new_figure(9.5, 1.5 + 0.27 * len(pairs), "What each factor gives", note)
+        figure = new_figure(9.5, 1.5 + 0.27 * len(pairs), about, note)
         for axes, (title, name, kind, iou) in zip(figure.subplots(1, len(panels), sharey=True), panels, strict=True):
             found = read_differences(folder / f"{name}.csv")
             for row, pair in enumerate(pairs):

@@ -4,8 +4,8 @@ What is finished stays, an interrupted training goes on at its last epoch, and a
 that the tables name, under the six corruptions in both families. A sitting on a machine that is given back: `--minutes`
 ends it, and `--kept` is a folder of detector files in half precision, one for each finished training, that is brought
 back and taken to the next. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the plan.
-Processes share the trainings of a question by `--only`, with one folder; `--measure` then measures the lines of which
-all trainings are finished.
+Processes share the trainings of `parts` or `scale` by `--only`, with one folder; `--measure` then measures the lines of
+which all trainings are finished. Those of `rivals` follow from each other, so that one process trains them.
 
 Usage:
     python -m studies.rivals.train rivals --data data/dsrc-sim-2 --out runs/rivals
@@ -17,6 +17,7 @@ import argparse
 import json
 import shutil
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -36,6 +37,7 @@ from dsrc.options.detection import Device
 from dsrc.training.recipes import RECIPES
 from dsrc.training.run_folder import DETECTOR, RESULT
 from dsrc.training.train import train
+from sim.errors import UserError
 from sim.files import write_file
 from studies.look import put_table
 from studies.rivals.questions import QUESTIONS, Training, pairs
@@ -61,11 +63,13 @@ def main() -> None:
     parser.add_argument("--frames", type=int, help="frames of the benchmark; default: all")
     parser.add_argument("--docs", type=Path, help="Markdown document that gets the tables; default: none")
     parser.add_argument("--workers", type=int, default=1, help="processes that prepare batches")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="train runs of these names, as *-0, and measure none")
     mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--only", nargs="+", metavar="NAME", help="train runs of these names, as *-0, and measure none")
     mode.add_argument("--measure", action="store_true", help="train nothing, measure the lines that are finished")
     mode.add_argument("--list", action="store_true", help="print the plan and train nothing")
     options = parser.parse_args()
+    if options.only and options.question == "rivals":
+        parser.error("rivals: each training follows from how others ended; leave out --only")
     begun = time.monotonic()
     if options.minutes is not None:
         signal.signal(signal.SIGALRM, signal.default_int_handler)
@@ -74,6 +78,9 @@ def main() -> None:
         measured = list(finished(options))
         if options.measure or not (options.list or options.only):
             measure(options, measured)
+    except UserError as error:
+        sys.stderr.write(f"train: {error}\n")
+        raise SystemExit(2) from None
     except (KeyboardInterrupt, SystemExit):
         if options.minutes is None or time.monotonic() - begun < 60.0 * options.minutes:
             raise
@@ -91,15 +98,19 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
 
     for one in QUESTIONS[options.question](ranked):
         run = known[one.name] = replace(one, base=options.recipe or one.base)
+        if not named(run.name, options):
+            continue
         start = f"from {run.start}" if run.start else "from random weights"
         print(f"{run.name}: {run.method}, {run.stage}, at most {run.steps} steps, {start}", flush=True)
-        if not (options.list or options.measure) and named(run.name, options):
+        if not (options.list or options.measure):
             begun = time.monotonic()
             finish(run, options)
             print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
         if run.title:
             yield run
-    print(f"at most {sum(run.steps for run in known.values())} steps in all")
+    if options.only and not any(named(name, options) for name in known):
+        raise SystemExit(f"only: no training is called {' or '.join(options.only)}; --list prints their names")
+    print(f"at most {sum(run.steps for run in known.values() if named(run.name, options))} steps in all")
 
 
 def named(name: str, options: argparse.Namespace) -> bool:

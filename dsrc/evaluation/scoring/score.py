@@ -63,7 +63,7 @@ def score(
     truth: Path | str | Sequence[Boxes] | None = None,
     protocol: str | Protocol | Sequence[str | Protocol] = "opencood",
     *,
-    score_threshold: float = 0.0,
+    score_threshold: float | None = None,
     corruption: str = CLEAN,
     progress: Progress | None = None,
 ) -> list[Score]:
@@ -74,7 +74,7 @@ def score(
         truth: tree of OPV2V, V2V4Real, DAIR-V2X-C or KITTI; or the true boxes of each frame, of which the one around
             the origin is the ego's own; None for those that are stored with the detections.
         protocol: name, several, `all`, or a `Protocol` of one's own.
-        score_threshold: least score of the detections that count, 0 to 1.
+        score_threshold: least score of the detections that count; None for all.
         corruption: of stored sets: `clean`, a kind, or `all`.
         progress: called with frames read and frames to read.
 
@@ -85,8 +85,8 @@ def score(
         UserError: a file, a frame or a setting is wrong.
     """
     get_protocols(protocol)  # before the files are read
-    if not 0.0 <= score_threshold <= 1.0:
-        raise SettingsError(complaint("score", "score_threshold", "0 to 1", score_threshold))
+    if score_threshold is not None and not math.isfinite(score_threshold):
+        raise SettingsError(complaint("score", "score_threshold", "a number", score_threshold))
     tree = Path(truth) if isinstance(truth, str | Path) else None
     if isinstance(detections, str | Path):
         where = str(detections)
@@ -96,7 +96,8 @@ def score(
         for i, given in enumerate(detections):
             check_radians(where, f"frame {i}", given.boxes.yaw)
         sets = [DetectionSet(where, {FrameKey("", i): found for i, found in enumerate(detections)})]
-    sets = [_counting(one, score_threshold) for one in sets]
+    if score_threshold is not None:
+        sets = [_counting(one, score_threshold) for one in sets]
     known: Mapping[FrameKey, Truth] | None = None
     if tree is not None:
         known = read_truth(tree, dict.fromkeys(key for one in sets for key in one.frames), progress)
@@ -126,16 +127,15 @@ def score(
 
 def _counting(one: DetectionSet, least: float) -> DetectionSet:
     """Return a set without the detections below a score; what they suppressed is below it, too."""
-    if least == 0.0:
-        return one
     if not one.has_scores:
-        raise SettingsError(complaint(one.name, "score_threshold", "0 for boxes without scores", least))
+        raise SettingsError(complaint(one.name, "score_threshold", "none for boxes without scores", least))
+    note = f"{one.note}; " if one.note else ""
     kept = {key: found.score >= least for key, found in one.frames.items()}
     frames = {key: found[kept[key]] for key, found in one.frames.items()}
-    if one.images is None:
-        return replace(one, frames=frames)
-    images = {key: InImage(*(values[kept[key]] for values in image)) for key, image in one.images.items()}
-    return replace(one, frames=frames, images=images)
+    images = one.images and {
+        key: InImage(*(values[kept[key]] for values in image)) for key, image in one.images.items()
+    }
+    return replace(one, frames=frames, images=images, note=f"{note}boxes from a score of {least:g} on")
 
 
 def _judged(one: DetectionSet, truth: Mapping[FrameKey, Truth]) -> DetectionSet:

@@ -11,6 +11,7 @@ import pytest
 
 from dsrc.__main__ import main
 from dsrc.cli.evaluate import Score as Command
+from dsrc.data.datasets.convert import convert
 from dsrc.data.drives import open_drive
 from dsrc.data.formats.kitti import encode_labels
 from dsrc.data.formats.opv2v.reader import write_frame
@@ -180,8 +181,23 @@ def test_a_threshold_leaves_out_what_is_below_it(
     whole = as_json(tmp_path / "boxes.json", frames), root / "data", "all"
     known = score(as_json(tmp_path / "kept.json", kept), root / "data", "all")
     assert numbers(score(*whole, score_threshold=least)) == numbers(known) != numbers(score(*whole))
-    labels = as_kitti(tmp_path / "labels", frames)
-    assert numbers(score(labels, root / "data", "all", score_threshold=least)) == pytest.approx(numbers(known))
+
+
+def test_a_threshold_leaves_out_boxes_in_the_image_too(tmp_path: Path) -> None:
+    write_frame(tmp_path / "data" / "one", toy_frame(0))
+    tree = convert(tmp_path / "data", tmp_path / "kitti", "kitti", view="around")
+    lines = (tree / "training/label_2/000000.txt").read_text().splitlines()
+    for name, kept in (("all", lines), ("kept", lines[:1])):
+        (tmp_path / name).mkdir()
+        scored = (f"{line} {1.0 - 0.5 * place}\n" for place, line in enumerate(kept))
+        (tmp_path / name / "000000.txt").write_text("".join(scored))
+    found, known = score(tmp_path / "all", tree, "all", score_threshold=0.9), score(tmp_path / "kept", tree, "all")
+    assert len(known) > len(UNRATED) and len(lines) > 1
+    assert [(one.protocol.name, one.detections) for one in found] == [
+        (one.protocol.name, one.detections) for one in known
+    ]
+    assert numbers(found) == pytest.approx(numbers(known), nan_ok=True)
+    assert all(one.note == "boxes from a score of 0.9 on" for one in found)
 
 
 def test_the_command_refuses_in_one_line(
@@ -198,7 +214,7 @@ def test_the_command_refuses_in_one_line(
             "score: protocol: expected the name of a protocol, found kitti",
         ),
         ([boxes, "--truth", data, "--out", boxes], f"{boxes}: output: expected a folder, found a file"),
-        ([boxes, "--truth", data, "--score-threshold", "2"], "score: score_threshold: expected 0 to 1, found 2"),
+        ([boxes, "--truth", data, "--score-threshold", "nan"], "score: score_threshold: expected a number, found nan"),
         ([str(one)], f"{one}: detections: expected the folder of such files, found one of them"),
         (
             [boxes, "--truth", data, "--protocol", "kitti-easy-r40"],
