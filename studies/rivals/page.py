@@ -93,7 +93,7 @@ def draw(folder: Path, about: str) -> Path:
     with style():
         pairs = pairs_of(folder)
         note = (
-            "Points of AP@0.7, mean of six corruptions. Thick: 95 % by drive. Thin: 95 % over trainings (Student's t)."
+            "Points of AP@0.7, mean of six corruptions. Thick: 95 % by drive. Thin: over trainings (t). Orange: beyond both."
         )
         figure = new_figure(9.5, 1.5 + 0.27 * len(pairs), about, note)
         for axes, (title, name, kind, iou) in zip(figure.subplots(1, len(panels), sharey=True), panels, strict=True):

@@ -39,6 +39,7 @@ CHANGES: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Factors of DSRC alone: the teacher that fits, and changes of the recipe; all trainings are thinned with 0.3."""
 LENGTHS = {"": 2000, "half as long": 1000, "three times as long": 6000}
+TAUGHT = "from the teacher's weights"
 SCALE_PARTS = 2
 
 
@@ -100,8 +101,9 @@ def parts(score: Score) -> Iterator[Training]:
                 yield _student(f"{method}-{steps}-{seed}", method, named, steps, 1.5e-3, seed)
             name, named = f"{method}-wide-{seed}", f"{title}, wide"
             yield _student(name, method, named, 2000, 1.5e-3, seed, "alone-wide", "teacher-wide", (*VALIDATED, *WIDE))
-        named = f"{PLAIN}, from the teacher's weights"
-        yield _student(f"attfuse-taught-{seed}", "attfuse", named, 2000, 1.5e-3, seed, "teacher")
+        for method, title in (("attfuse", PLAIN), ("dsrc", DSRC)):
+            named = f"{title}, {TAUGHT}"
+            yield _student(f"{method}-taught-{seed}", method, named, 2000, 1.5e-3, seed, "teacher")
         for number, (title, (taught, changes)) in enumerate(CHANGES.items()):
             name, named = f"dsrc-{number}-{seed}", f"{DSRC}, {title}"
             yield _student(name, "dsrc", named, 2000, 1.5e-3, seed, "alone", taught, (*VALIDATED, *changes))
@@ -130,13 +132,15 @@ QUESTIONS: dict[str, Plan] = {"rivals": rivals, "parts": parts, "scale": scale}
 
 
 def pairs(titles: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the methods whose difference is asked for: DSRC and each other, but twins of one length and width."""
-    twins = (*filter(None, LENGTHS), "wide")
-    alike = [(f"{DSRC}, {change}", f"{PLAIN}, {change}") for change in twins]
-    others = [
-        (DSRC, title) for title in titles if title != DSRC and title not in {name for pair in alike for name in pair}
-    ]
-    return [pair for pair in [*others, *alike] if set(pair) <= set(titles)]
+    """Return the methods whose difference is asked for: DSRC and each other, and twins of one start, length and width.
+
+    Another length or width is compared with its twin alone.
+    """
+    sizes = (*filter(None, LENGTHS), "wide")
+    apart = {f"{title}, {change}" for title in (PLAIN, DSRC) for change in sizes}
+    found = [(DSRC, title) for title in titles if title != DSRC and title not in apart]
+    found += [(f"{DSRC}, {change}", f"{PLAIN}, {change}") for change in (TAUGHT, *sizes)]
+    return [pair for pair in found if set(pair) <= set(titles)]
 
 
 def _starts() -> Iterator[Training]:
