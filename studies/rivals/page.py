@@ -92,7 +92,9 @@ def draw(folder: Path, about: str) -> Path:
     panels = [column for column in SHOWN if column[2:] == (MEAN_CORRUPTED, 0.7)]
     with style():
         pairs = pairs_of(folder)
-        note = "Points of AP@0.7, mean of six corruptions. Thick: 95 % by drive; thin: over trainings; orange: beyond both."
+        note = (
+            "Points of AP@0.7, mean of six corruptions. Thick: 95 % by drive; thin: over trainings; orange: beyond both"
+        )
         figure = new_figure(9.5, 1.5 + 0.27 * len(pairs), about, note)
         for axes, (title, name, kind, iou) in zip(figure.subplots(1, len(panels), sharey=True), panels, strict=True):
             found = read_differences(folder / f"{name}.csv")
