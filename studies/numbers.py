@@ -20,6 +20,7 @@ from dsrc.closed_loop.report.tables import parts_of, tables
 from dsrc.closed_loop.types import Outcome
 from studies.closed_loop.page import committed
 from studies.dsrc_paper.published import published_tables
+from studies.rivals.questions import TAUGHT
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "studies/numbers.json"
@@ -115,11 +116,14 @@ def _only(values: set[str]) -> str:
 def _differences() -> Iterator[tuple[str, str]]:
     """Yield differences of AP between trainings, points at 0.5 / 0.7, with the interval of 95 % over drives."""
     small, twins = REPORT / "dsrc-sim-small/dsrc-sim", REPORT / "dsrc-sim-twins/dsrc-sim"
+    parts = ROOT / "studies/rivals/report/parts/dsrc-sim-2/differences_paper.csv"
     plain, taught = "AttFuse (plain student)", "DSRC, corrupted clouds"
     for name, file, method, baseline, condition in (
         ("gain_clean", twins / "differences.csv", "DSRC", plain, "clean"),
         ("gain_ours", twins / "differences.csv", "DSRC", plain, "mean_corrupted"),
         ("gain_published", twins / "differences_paper.csv", "DSRC", plain, "mean_corrupted"),
+        ("parts_alone", parts, "DSRC", "plain twin", "mean_corrupted"),
+        ("parts_taught", parts, "DSRC", f"plain twin, {TAUGHT}", "mean_corrupted"),
         ("late_snow", small / "differences.csv", "DSRC", "Late", "snow"),
         ("taught_snow", small / "differences.csv", taught, "DSRC", "snow"),
         ("taught_clean", small / "differences.csv", taught, "DSRC", "clean"),
