@@ -123,7 +123,7 @@ def _differences() -> Iterator[tuple[str, str]]:
         ("gain_ours", twins / "differences.csv", "DSRC", plain, "mean_corrupted"),
         ("gain_published", twins / "differences_paper.csv", "DSRC", plain, "mean_corrupted"),
         ("parts_alone", parts, "DSRC", "plain twin", "mean_corrupted"),
-        ("parts_taught", parts, "DSRC", f"plain twin, {TAUGHT}", "mean_corrupted"),
+        ("parts_taught", parts, f"DSRC, {TAUGHT}", f"plain twin, {TAUGHT}", "mean_corrupted"),
         ("late_snow", small / "differences.csv", "DSRC", "Late", "snow"),
         ("taught_snow", small / "differences.csv", taught, "DSRC", "snow"),
         ("taught_clean", small / "differences.csv", taught, "DSRC", "clean"),
