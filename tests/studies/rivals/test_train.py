@@ -67,12 +67,17 @@ def test_a_part_differs_from_dsrc_in_one_factor() -> None:
     assert pairs([PLAIN, f"{PLAIN}, wide", f"{DSRC}, wide"]) == [(f"{DSRC}, wide", f"{PLAIN}, wide")]
 
 
-@pytest.mark.slow
-def test_a_sitting_that_ends_goes_on_from_the_detectors_brought_back(tmp_path: Path) -> None:
+def tiny(data: Path) -> tuple[str, ...]:
+    """Write a data set of a few frames, and return the options of a training on it."""
     for split, first in (("train", 0), ("validation", 10), ("unseen", 20)):
         for index in range(first, first + (4 if split == "train" else 1)):
-            write_frame(tmp_path / split / f"{split}_drive", frame(index))
-    small = ("--data", str(tmp_path), "--recipe", "debug", "--share", "0.0001", "--workers", "0", "--frames", "1")
+            write_frame(data / split / f"{split}_drive", frame(index))
+    return "--data", str(data), "--recipe", "debug", "--share", "0.0001", "--workers", "0", "--frames", "1"
+
+
+@pytest.mark.slow
+def test_a_sitting_that_ends_goes_on_from_the_detectors_brought_back(tmp_path: Path) -> None:
+    small = tiny(tmp_path)
     kept = ("--kept", str(tmp_path / "kept"))
     cut = study("rivals.train", "scale", *small, *kept, "--out", str(tmp_path / "first"), "--minutes", "0.0001")
     assert cut.endswith("the sitting is over; the same command goes on\n")
@@ -85,10 +90,7 @@ def test_a_sitting_that_ends_goes_on_from_the_detectors_brought_back(tmp_path: P
 
 @pytest.mark.slow
 def test_processes_share_trainings_and_lines_that_are_not_finished_are_not_measured(tmp_path: Path) -> None:
-    for split, first in (("train", 0), ("validation", 10), ("unseen", 20)):
-        for index in range(first, first + (4 if split == "train" else 1)):
-            write_frame(tmp_path / split / f"{split}_drive", frame(index))
-    small = ("--data", str(tmp_path), "--recipe", "debug", "--share", "0.0001", "--workers", "0", "--frames", "1")
+    small = tiny(tmp_path)
     folder = ("--out", str(tmp_path / "runs"))
     early = run_study("rivals.train", "scale", *small, *folder, "--only", "attfuse-1")
     assert early.returncode and early.stderr == "teacher-2: this training comes first and is not finished\n"
