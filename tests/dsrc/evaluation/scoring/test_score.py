@@ -120,6 +120,8 @@ def test_dumped_corners_score_as_opencood_scored_them(tmp_path: Path) -> None:
             in_memory[one.protocol.name].truth,
             in_memory[one.protocol.name].detections,
         )
+    with pytest.raises(SettingsError, match=r"score_threshold: expected none for boxes without scores, found 0\.3$"):
+        score(tmp_path, None, "all", score_threshold=0.3)
 
 
 @pytest.fixture(scope="module")
