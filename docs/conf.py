@@ -13,7 +13,8 @@ HEADLINE = re.compile(r"^    # (.+)$|^    \"(\w+)\",$", re.MULTILINE)
 
 project, author, release = "dsrc-testbed", "The dsrc-testbed authors", dsrc.__version__
 extensions = ["myst_parser", "sphinx_design", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_site", "_pages"]
+# What a command wrote beside a page is a download, not a page.
+exclude_patterns = ["_site", "_pages", "zoo"]
 html_theme, html_title = "furo", "dsrc-testbed"
 html_extra_path = ["_pages"] if (DOCS / "_pages").is_dir() else []  # review pages that `make docs` writes
 myst_enable_extensions = ["colon_fence"]
