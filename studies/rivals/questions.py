@@ -5,7 +5,7 @@ ones ended. It asks by `score`: AP@0.5 + AP@0.7 on the validation drives, clean.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from dsrc.training.recipes import METHODS
 from studies.shipped.train import Run
@@ -16,7 +16,9 @@ RIVALS = tuple(name for name in METHODS if name != "attfuse" and not name.starts
 """Methods that are compared with DSRC and its plain twin."""
 REFERENCES = ("no-collaboration", "max-map")
 """Of these those that are nobody's method: never among the strongest."""
-RATES = (5e-4, 1.5e-3)
+RATE = 1.5e-3
+RATES = (5e-4, RATE)
+"""Peak learning rates that each rival tries; every other training has `RATE`."""
 DOUBLED = (1000, 2000, 4000, 8000)
 """Lengths of a method's trainings, steps, each with its own fall of the rate, until a longer one is not better."""
 SEEDS, STRONG_SEEDS, STRONGEST, PART_SEEDS = 5, 3, 4, 3
@@ -57,31 +59,33 @@ class Training(Run):
 Plan = Callable[[Score], Iterator[Training]]
 
 
-def rivals(score: Score) -> Iterator[Training]:
+def rivals(score: Score, longest: int = DOUBLED[-1]) -> Iterator[Training]:
     """Yield DSRC, its plain twin and the rivals, each with its own rate and length, from the same network.
 
-    The first length is tried with both rates; it is doubled until the longer training is not better. The four rivals
-    that are best after their first training have two more, DSRC and its twin four.
+    The first length is tried with both rates; it is doubled until the longer training is not better, or is the
+    longest. All methods are trained at one length before any at the next. The four rivals that are best after their
+    first training have two more, DSRC and its twin four.
     """
     yield from _starts()
     titles, best = {"attfuse": PLAIN, "dsrc": DSRC} | {name: name for name in RIVALS}, dict[str, Training]()
-    for method, title in titles.items():
-        trials = {f"{method}-rate-{rate:g}": rate for rate in RATES}
-        for name, rate in trials.items():
-            yield _student(name, method, "", DOUBLED[0], rate)
-        name = max(trials, key=score)
-        best[method] = _student(name, method, "", DOUBLED[0], trials[name])
-        for steps in DOUBLED[1:]:
-            yield (longer := _student(f"{method}-{steps}", method, "", steps, trials[name]))
-            if score(longer.name) <= score(best[method].name):
-                break
-            best[method] = longer
-        yield replace(best[method], title=title)
+    for method in titles:
+        trials = [_length(method, DOUBLED[0], rate=rate) for rate in RATES]
+        yield from trials
+        best[method] = max(trials, key=lambda trial: score(trial.name))
+    growing = list(titles)
+    for steps in (steps for steps in DOUBLED[1:] if steps <= longest):
+        for method in tuple(growing):
+            yield (longer := _length(method, steps, rate=best[method].rate))
+            if score(longer.name) > score(best[method].name):
+                best[method] = longer
+            else:
+                growing.remove(method)
     candidates = [name for name in RIVALS if name not in REFERENCES]
     strongest = sorted(candidates, key=lambda name: -score(best[name].name))[:STRONGEST]
-    for seed in range(1, SEEDS):
-        for method in ("attfuse", "dsrc", *(strongest if seed < STRONG_SEEDS else ())):
-            yield replace(best[method], name=f"{method}-seed-{seed}", title=titles[method], seed=seed)
+    for seed in range(SEEDS):
+        trained = ("attfuse", "dsrc", *(strongest if seed < STRONG_SEEDS else ()))
+        for method in trained if seed else titles:
+            yield _length(method, best[method].steps, seed, titles[method], best[method].rate)
 
 
 def parts(score: Score) -> Iterator[Training]:
@@ -92,21 +96,20 @@ def parts(score: Score) -> Iterator[Training]:
     yield from _starts()
     yield _teacher("teacher-sparse", settings=("sdd=false",))
     yield _teacher("teacher-unpainted", settings=("pcp=false",))
-    yield Training("alone-wide", "no-collaboration", "plain", "", 6000, 1.5e-3, settings=(*VALIDATED, *WIDE))
+    yield Training("alone-wide", "no-collaboration", "plain", "", 6000, RATE, settings=(*VALIDATED, *WIDE))
     yield _teacher("teacher-wide", "alone-wide", WIDE)
     for seed in range(PART_SEEDS):
         for method, title in (("attfuse", PLAIN), ("dsrc", DSRC)):
             for length, steps in LENGTHS.items():
-                named = ", ".join(filter(None, (title, length)))
-                yield _student(f"{method}-{steps}-{seed}", method, named, steps, 1.5e-3, seed)
+                yield _length(method, steps, seed, ", ".join(filter(None, (title, length))))
             name, named = f"{method}-wide-{seed}", f"{title}, wide"
-            yield _student(name, method, named, 2000, 1.5e-3, seed, "alone-wide", "teacher-wide", (*VALIDATED, *WIDE))
+            yield _student(name, method, named, 2000, RATE, seed, "alone-wide", "teacher-wide", (*VALIDATED, *WIDE))
         for method, title in (("attfuse", PLAIN), ("dsrc", DSRC)):
             named = f"{title}, {TAUGHT}"
-            yield _student(f"{method}-taught-{seed}", method, named, 2000, 1.5e-3, seed, "teacher")
+            yield _student(f"{method}-taught-{seed}", method, named, 2000, RATE, seed, "teacher")
         for number, (title, (taught, changes)) in enumerate(CHANGES.items()):
             name, named = f"dsrc-{number}-{seed}", f"{DSRC}, {title}"
-            yield _student(name, "dsrc", named, 2000, 1.5e-3, seed, "alone", taught, (*VALIDATED, *changes))
+            yield _student(name, "dsrc", named, 2000, RATE, seed, "alone", taught, (*VALIDATED, *changes))
 
 
 def scale(score: Score) -> Iterator[Training]:
@@ -120,7 +123,7 @@ def scale(score: Score) -> Iterator[Training]:
     for line, title in titles.items():
         before = "" if line == "teacher" else taught
         for part in range(1, SCALE_PARTS + 1):
-            name, named, rate = f"{line}-{part}", title if part == SCALE_PARTS else "", 1.5e-3 / part
+            name, named, rate = f"{line}-{part}", title if part == SCALE_PARTS else "", RATE / part
             if line == "teacher":
                 yield Training(name, "dsrc", "teacher", before, 1500, rate, settings=VALIDATED, base="opv2v")
             else:
@@ -145,12 +148,18 @@ def pairs(titles: Sequence[str]) -> list[tuple[str, str]]:
 
 def _starts() -> Iterator[Training]:
     """Yield the network of single vehicles that all students start from, and the teacher."""
-    yield Training("alone", "no-collaboration", "plain", "unparked-plain-alone", 3000, 1.5e-3, settings=VALIDATED)
+    yield Training("alone", "no-collaboration", "plain", "unparked-plain-alone", 3000, RATE, settings=VALIDATED)
     yield _teacher("teacher")
 
 
 def _teacher(name: str, start: str = "unparked-teacher", settings: tuple[str, ...] = ()) -> Training:
-    return Training(name, "dsrc", "teacher", start, 1000, 1.5e-3, settings=(*VALIDATED, *settings))
+    return Training(name, "dsrc", "teacher", start, 1000, RATE, settings=(*VALIDATED, *settings))
+
+
+def _length(method: str, steps: int, seed: int = 0, title: str = "", rate: float = RATE) -> Training:
+    """Return the training of a student from the network of single vehicles; questions share it by its name."""
+    name = f"{method}-{steps}-{seed}" + ("" if rate == RATE else "-slow")
+    return _student(name, method, title, steps, rate, seed)
 
 
 def _student(

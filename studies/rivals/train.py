@@ -22,6 +22,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ from dsrc.training.train import train
 from sim.errors import UserError
 from sim.files import write_file
 from studies.look import put_table
-from studies.rivals.questions import QUESTIONS, Training, pairs
+from studies.rivals.questions import QUESTIONS, Training, pairs, rivals
 from studies.shipped.train import STARTS
 
 LEAST_SCORE = 0.05
@@ -59,6 +60,7 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, help="folder of detectors of finished trainings; default: none")
     parser.add_argument("--minutes", type=float, help="end of this sitting; default: when all is done")
     parser.add_argument("--share", type=float, default=1.0, help="share of the steps, to try the plan")
+    parser.add_argument("--longest", type=int, help="length at which rivals end, before the share; default: the plan's")
     parser.add_argument("--recipe", choices=sorted(RECIPES), help="in place of the plan's, to try a small network")
     parser.add_argument("--frames", type=int, help="frames of the benchmark; default: all")
     parser.add_argument("--docs", type=Path, help="Markdown document that gets the tables; default: none")
@@ -70,6 +72,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.only and options.question == "rivals":
         parser.error("rivals: each training follows from how others ended; leave out --only")
+    if options.longest and options.question != "rivals":
+        parser.error("longest: only the lengths of rivals are tried one after the other")
     begun = time.monotonic()
     if options.minutes is not None:
         signal.signal(signal.SIGALRM, signal.default_int_handler)
@@ -96,7 +100,8 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
     def ranked(name: str) -> float:
         return float(known[name].steps) if options.list else sum(validated(name, options))
 
-    for one in QUESTIONS[options.question](ranked):
+    plan = partial(rivals, longest=options.longest) if options.longest else QUESTIONS[options.question]
+    for one in plan(ranked):
         run = known[one.name] = replace(one, base=options.recipe or one.base)
         if not named(run.name, options):
             continue

@@ -28,18 +28,18 @@ def test_every_training_comes_after_what_it_starts_from_and_is_taught_by(questio
 
 
 def test_rivals_have_one_start_and_the_rate_and_length_that_are_best_for_each() -> None:
-    known = {"attfuse-rate-0.0015": 1.2, "attfuse-2000": 1.3, "attfuse-4000": 1.25}
-    known |= {f"{method}-4000": 1.0 + 0.01 * place for place, method in enumerate(("late", "early", "cobevt", "ermvp"))}
-    known |= {"no-collaboration-8000": 1.9}
+    known = {"attfuse-1000-0": 1.2, "attfuse-2000-0": 1.3, "attfuse-4000-0": 1.25}
+    strongest = "late", "early", "cobevt", "ermvp"
+    known |= {f"{method}-4000-0-slow": 1.0 + 0.01 * place for place, method in enumerate(strongest)}
+    known |= {"no-collaboration-8000-0-slow": 1.9} | {f"{method}-1000-0": 0.4 for method in ("dsrc", *RIVALS)}
     runs = list(rivals(lambda name: known.get(name, 0.8 if "-2000" in name else 0.5)))
     measured = {run.method: run for run in runs if run.title and run.seed == 0}
     assert set(measured) == {"attfuse", "dsrc", *RIVALS} and {run.start for run in measured.values()} == {"alone"}
     lengths = {name: measured[name].steps for name in ("attfuse", "dsrc", "late", "no-collaboration")}
     assert lengths == {"attfuse": 2000, "dsrc": 2000, "late": 4000, "no-collaboration": 2000}
     assert {name for name, run in measured.items() if run.rate == 1.5e-3} == {"attfuse"}
-    assert not any(run.name == "dsrc-8000" for run in runs)
+    assert not any(run.name.startswith("dsrc-8000") for run in runs)
     trainings = {name: sum(run.title == one.title for run in runs) for name, one in measured.items()}
-    strongest = {"late", "early", "cobevt", "ermvp"}
     assert (
         trainings == {name: 5 if name in ("attfuse", "dsrc") else 3 if name in strongest else 1 for name in measured}
         and len(strongest) == STRONGEST
@@ -47,6 +47,19 @@ def test_rivals_have_one_start_and_the_rate_and_length_that_are_best_for_each() 
     for run in runs:
         one = measured[run.method] if run.title else run
         assert (run.rate, run.steps) == (one.rate, one.steps)
+
+
+def test_all_rivals_are_trained_at_one_length_before_the_next_and_none_longer_than_asked() -> None:
+    lengths = [run.steps for run in rivals(lambda name: float(name.split("-")[-2]), longest=2000) if not run.title]
+    trials = lengths[2:]
+    assert trials == sorted(trials) and set(trials) == {1000, 2000}
+
+
+def test_questions_share_a_training_by_its_name() -> None:
+    known = {run.name: replace(run, title="") for run in plan("parts")}
+    shared = [run for run in rivals(lambda name: -float(name.count("slow"))) if run.name in known]
+    assert all(replace(run, title="") == known[run.name] for run in shared)
+    assert {"alone", "teacher", "attfuse-1000-0", "dsrc-2000-0"} <= {run.name for run in shared}
 
 
 def test_a_part_differs_from_dsrc_in_one_factor() -> None:
