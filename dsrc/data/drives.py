@@ -100,6 +100,23 @@ def find_drives(root: Path) -> list[Path]:
     return (found + opv2v.drives_below(root)) or sweeps.sweeps_below(root)
 
 
+def traffic_runs(drives: Sequence[Drive]) -> tuple[int, ...]:
+    """Return for each drive the number, from 0, of the run of traffic that it shows.
+
+    Drives of ours from one scenario and seed have the same road users, whichever sensors and however many agents
+    record them; every other drive has a run of its own.
+    """
+    known: dict[object, int] = {}
+    return tuple(known.setdefault(_traffic_run(drive), len(known)) for drive in drives)
+
+
+def _traffic_run(drive: Drive) -> object:
+    try:
+        return str(drive.protocol["testbed"]["scenario"]["name"]), str(drive.protocol["world"]["seed"])
+    except (KeyError, TypeError):
+        return drive.drive
+
+
 def path_below(root: Path, drive: Path) -> Path:
     """Return the path of a drive below the folder that `find_drives` found it in; `.` where the folder is the drive."""
     address = dairv2x.locate(root)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dsrc.data.drives import Drive, labelled_frames, list_drives, open_drive
+from dsrc.data.drives import Drive, labelled_frames, list_drives, open_drive, traffic_runs
 from dsrc.data.sample import DetectorSettings
 from dsrc.detectors.open import close_detector, detector_sha256, open_detector
 from dsrc.detectors.texts import kind_of
@@ -129,6 +129,7 @@ class BenchmarkResult:
         trained: detectors by method.
         drives: hashes of drives, by dataset and name.
         frames: evaluated frames of each drive, by dataset.
+        runs: number of the run of traffic of each drive, by dataset, see `dsrc.data.drives.traffic_runs`.
         entries: results of all cases.
         made: number of cells computed in this run.
         engine: execution of the networks.
@@ -139,6 +140,7 @@ class BenchmarkResult:
     trained: dict[str, list[TrainedDetector]]
     drives: dict[str, dict[str, str]]
     frames: dict[str, tuple[int, ...]]
+    runs: dict[str, tuple[int, ...]]
     entries: list[CaseResult]
     made: int
     engine: str = "fused"
@@ -201,7 +203,8 @@ def run_plan(
         ]
     named = {name: {Path(p).name: digest for p, digest in listed.items()} for name, listed in drives.items()}
     frames = {name: tuple(map(len, of_drives)) for name, of_drives in positions.items()}
-    return BenchmarkResult(plan, trained, named, frames, entries, made, engine, reuse_entry(folder, jobs))
+    runs = {name: traffic_runs(readers) for name, readers in datasets.items()}
+    return BenchmarkResult(plan, trained, named, frames, runs, entries, made, engine, reuse_entry(folder, jobs))
 
 
 def fitting_kinds(where: str, names: Sequence[str], family: Family, drives: Sequence[Drive]) -> tuple[str, ...]:

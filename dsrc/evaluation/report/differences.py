@@ -125,26 +125,32 @@ def stored_differences(results: Path) -> DifferenceTable:
 
 
 def difference_table(
-    results: DatasetResults, pairs: Sequence[DifferenceSpec], drives: Sequence[int]
+    results: DatasetResults, pairs: Sequence[DifferenceSpec], drives: Sequence[int], runs: Sequence[int]
 ) -> DifferenceTable:
     """Differences of pairs of methods in clean frames, under each corruption, in their mean and in mCE.
 
     Args:
         results: of the dataset, with the detections of the pairs' methods.
         drives: (D,) evaluated frames of each drive; drives without any are left out.
+        runs: (D,) number of the run of traffic of each drive: drives of one run are drawn together.
     """
+    runs = [run for run, frames in zip(runs, drives, strict=True) if frames]
     drives = [frames for frames in drives if frames]
+    known, of_drive = np.unique(np.array(runs, np.int64), return_inverse=True)
     methods = list(dict.fromkeys(name for pair in pairs for name in (pair.method, pair.baseline)))
     by_frame = _resampled(results, methods, np.arange(sum(drives)))
-    by_drive = _resampled(results, methods, np.repeat(np.arange(len(drives)), drives))
-    units = sum(drives), len(drives)
+    by_drive = _resampled(results, methods, np.repeat(of_drive, drives))
+    units = sum(drives), len(known)
     found = tuple(one for pair in pairs for one in _differences(results, pair, by_frame, by_drive, units))
     what = (
         "Method less baseline, points of average precision in bird's-eye view at IoU 0.5 and 0.7, sorted over all "
         f"frames. {results.level} mCE: share of the clean AP lost, less is better."
     )
+    drawn = f"{len(drives)} drives"
+    if len(known) < len(drives):
+        drawn = f"the {len(known)} runs of traffic that {len(drives)} drives show"
     bootstrap = (
-        f"{RESAMPLES} resamples of {sum(drives)} frames and of {len(drives)} drives (expanded percentile bootstrap): "
+        f"{RESAMPLES} resamples of {sum(drives)} frames and of {drawn} (expanded percentile bootstrap): "
         "both methods on the same resamples, AP computed anew in each"
     )
     sample = (

@@ -142,7 +142,9 @@ def difference_tables(result: BenchmarkResult) -> dict[tuple[str, Family], Diffe
     if not plan.differences:
         return {}
     return {
-        (dataset, family): difference_table(DatasetResults.of(result, dataset, family), plan.differences, frames)
+        (dataset, family): difference_table(
+            DatasetResults.of(result, dataset, family), plan.differences, frames, result.runs[dataset]
+        )
         for dataset, frames in result.frames.items()
         for family in plan.family
     }

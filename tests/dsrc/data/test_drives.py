@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from dsrc.data.drives import drive_hashes, list_drives, open_drive, open_drives
+from dsrc.data.drives import drive_hashes, list_drives, open_drive, open_drives, traffic_runs
 from dsrc.data.formats.opv2v.reader import write_frame
 from sim.errors import DataError
 from tests.dsrc.data import dair_tree
@@ -174,3 +174,20 @@ def test_a_folder_without_drives_names_the_formats(tmp_path: Path) -> None:
         list_drives(tmp_path / "nowhere")
     with pytest.raises(DataError, match="nowhere"):
         open_drive(tmp_path / "nowhere")
+
+
+def test_drives_of_one_scenario_and_seed_show_one_run_of_traffic(tmp_path: Path) -> None:
+    made = {
+        "left_turn_1_vlp-32c": ("left_turn", 1),
+        "left_turn_1_hdl-64e": ("left_turn", 1),
+        "left_turn_2": ("left_turn", 2),
+    }
+    for name, (scenario, seed) in made.items():
+        write_frame(tmp_path / name, toy_frame(0))
+        protocol = {"world": {"seed": seed}, "testbed": {"scenario": {"name": scenario}}}
+        (tmp_path / name / "data_protocol.yaml").write_text(yaml.safe_dump(protocol))
+    for name, text in (("foreign_1", "world: {}"), ("foreign_2", "world: {seed: 1}"), ("foreign_3", "world: {seed: 1}")):
+        write_frame(tmp_path / name, toy_frame(0))
+        (tmp_path / name / "data_protocol.yaml").write_text(text)
+    # By name: three foreign ones, then the turns.
+    assert traffic_runs(open_drives(tmp_path)) == (0, 1, 2, 3, 3, 4)

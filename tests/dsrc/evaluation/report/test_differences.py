@@ -42,11 +42,12 @@ def found_in(frames: tuple[int, ...], trainings: int = 1, **settings: object) ->
         curves = evaluate_matches(judged).curves
         metrics = {**entry.row.metrics, "ap_bev_50": curves["bev", 0.5].ap, "ap_bev_70": curves["bev", 0.7].ap}
         entries.append(changed(entry, row=changed(entry.row, metrics=metrics), ranked=RankedDetections.of(judged)))
-    return changed(result, entries=entries, frames={"made up": frames})
+    return changed(result, entries=entries, frames={"made up": frames}, runs={"made up": tuple(range(len(frames)))})
 
 
 def table_of(result: BenchmarkResult) -> DifferenceTable:
-    return difference_table(DatasetResults.of(result, "made up"), result.plan.differences, result.frames["made up"])
+    found = DatasetResults.of(result, "made up")
+    return difference_table(found, result.plan.differences, result.frames["made up"], result.runs["made up"])
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +119,16 @@ def test_the_same_rows_have_the_same_intervals_whatever_else_is_asked_for(
 
 
 def test_a_drive_without_a_frame_is_none(result: BenchmarkResult, table: DifferenceTable) -> None:
-    assert table_of(changed(result, frames={"made up": (20, 0, 15, 15, 10)})) == table
+    more = changed(result, frames={"made up": (20, 0, 15, 15, 10)}, runs={"made up": (0, 4, 1, 2, 3)})
+    assert table_of(more) == table
+
+
+def test_drives_of_one_run_of_traffic_are_drawn_together(result: BenchmarkResult) -> None:
+    joined = changed(result, frames={"made up": (35, 25)}, runs={"made up": (0, 1)})
+    apart = changed(result, runs={"made up": (0, 0, 1, 1)})
+    assert table_of(apart).differences == table_of(joined).differences
+    assert "of the 2 runs of traffic that 4 drives show (expanded" in table_of(apart).note
+    assert "of 2 drives (expanded" in table_of(joined).note
 
 
 def test_of_a_single_drive_nothing_is_known_by_drive() -> None:

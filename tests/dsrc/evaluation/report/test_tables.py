@@ -71,7 +71,9 @@ def outcome_of(methods: dict[str, int], **settings: object) -> BenchmarkResult:
         condition = case.condition
         row = Row(case.method, condition.kind, condition.severity, 10, 40, 35, metrics, 0.02, 1500.0, 0.0, 1.0)
         entries.append(CaseResult(case, row, ("ab",), (Path("drive"),)))
-    return BenchmarkResult(plan, trained, {"made up": {"drive": "cd"}}, {"made up": (10,)}, entries, 0)
+    return BenchmarkResult(
+        plan, trained, {"made up": {"drive": "cd"}}, {"made up": (10,)}, {"made up": (0,)}, entries, 0
+    )
 
 
 def view_of(methods: dict[str, int], **settings: object) -> DatasetResults:
