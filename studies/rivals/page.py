@@ -31,7 +31,12 @@ SHOWN = (
     ("clean, AP@0.7", "differences", CLEAN, 0.7),
 )
 """Columns: title, file, condition and overlap."""
-TITLES = {"rivals": "DSRC and its rivals", "parts": "What each factor gives", "scale": "At the paper's size"}
+TITLES = {
+    "rivals": "DSRC and its rivals",
+    "lengths": "DSRC after trainings of three lengths",
+    "parts": "What each factor gives",
+    "scale": "At the paper's size",
+}
 """Titles of the figures."""
 
 

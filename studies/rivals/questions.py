@@ -1,4 +1,4 @@
-"""Plans of the trainings of three questions: rivals, parts of DSRC, the paper's scale.
+"""Plans of the trainings of four questions: rivals, lengths of a training, parts of DSRC, the paper's scale.
 
 A plan is a generator: what it yields is trained before it goes on, so that later trainings may depend on how earlier
 ones ended. It asks by `score`: AP@0.5 + AP@0.7 on the validation drives, clean.
@@ -88,11 +88,17 @@ def rivals(score: Score, longest: int = DOUBLED[-1]) -> Iterator[Training]:
             yield _length(method, best[method].steps, seed, titles[method], best[method].rate)
 
 
-def parts(score: Score) -> Iterator[Training]:
-    """Yield DSRC with one factor changed each: teacher, painting, reconstruction, weights, length, width, baseline.
+def lengths(score: Score) -> Iterator[Training]:
+    """Yield DSRC and its plain twin, trained for three lengths from the same network."""
+    yield from _starts()
+    for seed in range(PART_SEEDS):
+        for method, title in (("attfuse", PLAIN), ("dsrc", DSRC)):
+            for length, steps in LENGTHS.items():
+                yield _length(method, steps, seed, ", ".join(filter(None, (title, length))))
 
-    The order of scores needs no training: every benchmark has its Table 1 sorted inside frames, too.
-    """
+
+def parts(score: Score) -> Iterator[Training]:
+    """Yield DSRC with one factor changed each: teacher, painting, reconstruction, weights, width, start."""
     yield from _starts()
     yield _teacher("teacher-sparse", settings=("sdd=false",))
     yield _teacher("teacher-unpainted", settings=("pcp=false",))
@@ -100,8 +106,7 @@ def parts(score: Score) -> Iterator[Training]:
     yield _teacher("teacher-wide", "alone-wide", WIDE)
     for seed in range(PART_SEEDS):
         for method, title in (("attfuse", PLAIN), ("dsrc", DSRC)):
-            for length, steps in LENGTHS.items():
-                yield _length(method, steps, seed, ", ".join(filter(None, (title, length))))
+            yield _length(method, LENGTHS[""], seed, title)
             name, named = f"{method}-wide-{seed}", f"{title}, wide"
             yield _student(name, method, named, 2000, RATE, seed, "alone-wide", "teacher-wide", (*VALIDATED, *WIDE))
         for method, title in (("attfuse", PLAIN), ("dsrc", DSRC)):
@@ -131,7 +136,7 @@ def scale(score: Score) -> Iterator[Training]:
             before = name
 
 
-QUESTIONS: dict[str, Plan] = {"rivals": rivals, "parts": parts, "scale": scale}
+QUESTIONS: dict[str, Plan] = {"rivals": rivals, "lengths": lengths, "parts": parts, "scale": scale}
 
 
 def pairs(titles: Sequence[str]) -> list[tuple[str, str]]:

@@ -186,7 +186,8 @@ def test_drives_of_one_scenario_and_seed_show_one_run_of_traffic(tmp_path: Path)
         write_frame(tmp_path / name, toy_frame(0))
         protocol = {"world": {"seed": seed}, "testbed": {"scenario": {"name": scenario}}}
         (tmp_path / name / "data_protocol.yaml").write_text(yaml.safe_dump(protocol))
-    for name, text in (("foreign_1", "world: {}"), ("foreign_2", "world: {seed: 1}"), ("foreign_3", "world: {seed: 1}")):
+    foreign = {"foreign_1": "world: {}", "foreign_2": "world: {seed: 1}", "foreign_3": "world: {seed: 1}"}
+    for name, text in foreign.items():
         write_frame(tmp_path / name, toy_frame(0))
         (tmp_path / name / "data_protocol.yaml").write_text(text)
     # By name: three foreign ones, then the turns.
