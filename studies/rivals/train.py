@@ -38,7 +38,7 @@ from dsrc.options.detection import Device
 from dsrc.training.recipes import RECIPES
 from dsrc.training.run_folder import DETECTOR, RESULT
 from dsrc.training.train import train
-from sim.errors import UserError
+from sim.errors import SettingsError, UserError, complaint
 from sim.files import write_file
 from studies.look import put_table
 from studies.rivals.questions import QUESTIONS, Training, pairs, rivals
@@ -107,6 +107,8 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
             continue
         start = f"from {run.start}" if run.start else "from random weights"
         print(f"{run.name}: {run.method}, {run.stage}, at most {run.steps} steps, {start}", flush=True)
+        if not options.list:
+            check_length(run, options)
         if not (options.list or options.measure):
             begun = time.monotonic()
             finish(run, options)
@@ -150,6 +152,16 @@ def done(name: str, options: argparse.Namespace) -> Path | None:
     if (options.out / name / RESULT).is_file():
         places.append(options.out / name / DETECTOR)
     return next((path for path in places if path.is_file()), None)
+
+
+def check_length(run: Training, options: argparse.Namespace) -> None:
+    """Check that a detector that is there was trained on as many frames as the plan asks."""
+    if path := done(run.name, options):
+        made, asked = read_meta(path)["settings"]["recipe"], run.recipe(options.share)
+        found, wanted = made["epochs"] * made["epoch_frames"], asked.epochs * (asked.epoch_frames or 0)
+        if found != wanted:
+            expected, hint = f"{wanted}, as --share {options.share:g} asks", "; another share has another folder"
+            raise SettingsError(complaint(path, "frames of the training", expected, found, hint))
 
 
 def detector_of(name: str, options: argparse.Namespace) -> Path:

@@ -117,6 +117,15 @@ def test_processes_share_trainings_and_lines_that_are_not_finished_are_not_measu
     assert PLAIN in table and "where2comm" not in table and DSRC not in table
 
 
+def test_a_kept_training_of_another_length_is_refused(tmp_path: Path) -> None:
+    kept = ("--kept", "studies/rivals/kept", "--out", str(tmp_path))
+    found = run_study("rivals.train", "parts", "--only", "alone", "--share", "0.1", *kept)
+    assert found.returncode == 2 and found.stderr == (
+        "train: studies/rivals/kept/alone.pt: frames of the training: expected 1200, as --share 0.1 asks, found 3000; "
+        "another share has another folder\n"
+    )
+
+
 @pytest.mark.parametrize("share", [0.01, 0.2, 0.25, 0.33, 1.0])
 def test_a_share_of_a_plan_is_that_share_of_the_steps_of_each_training(share: float) -> None:
     for run in plan("parts"):
