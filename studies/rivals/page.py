@@ -10,6 +10,7 @@ Usage:
 import argparse
 import csv
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 from scipy import stats
@@ -40,6 +41,46 @@ TITLES = {
 """Titles of the figures."""
 
 
+@dataclass(frozen=True)
+class Gain:
+    """What a method gives in a column of the tables.
+
+    Attributes:
+        value: difference of two methods, with its interval by drive.
+        trained: its interval over trainings, see `over_trainings`.
+    """
+
+    value: Difference
+    trained: Interval
+
+    @property
+    def together(self) -> Interval:
+        """Interval over drives and trainings: the distances of the two intervals' bounds, added in quadrature.
+
+        The one holds the trainings fixed, the other the drives; unknown with one training.
+        """
+        mean, (low, high) = self.value.value.mean, self.value.by_drive
+        if math.isnan(self.trained.low):
+            return Interval(math.nan, math.nan)
+        return Interval(
+            mean - math.hypot(mean - low, mean - self.trained.low),
+            mean + math.hypot(high - mean, self.trained.high - mean),
+        )
+
+    @property
+    def text(self) -> str:
+        """Points, the interval by drive in brackets, that over trainings in parentheses; bold if resolved by both."""
+        text = f"{100 * self.value.value.mean:+.1f} {self.value.by_drive.points}"
+        if math.isnan(self.trained.low):
+            return text
+        text += f" ({self.trained.points[1:-1]})"
+        return Strong(text) if self.together.excludes_zero else text
+
+
+Gains = dict[tuple[str, str], list[Gain]]
+"""Gains of pairs of method and baseline, one for each column of `SHOWN`."""
+
+
 def main() -> None:
     description, _, usage = (__doc__ or "").partition("\n\n")
     argparse.ArgumentParser(
@@ -49,22 +90,28 @@ def main() -> None:
     if not any(found.values()):
         raise SystemExit(f"{PAGE}: no results beside it; studies.rivals.train --docs brings them")
     for question, files in found.items():
+        if len(files) > 1:
+            raise SystemExit(f"{PAGE}: {question}: expected results on one data set, found {len(files)}")
         for file in files:
-            replace_block(PAGE, f"{question}_gains", gains(file.parent).markdown())
-            draw(file.parent, TITLES[question])
+            rows = read_gains(file.parent)
+            replace_block(PAGE, f"{question}_gains", gains(rows).markdown())
+            draw(rows, file.parent, TITLES[question])
             print(f"{PAGE}: {question}")
 
 
-def read_differences(path: Path) -> dict[tuple[str, str, str, float], tuple[Difference, int]]:
-    """Differences of a file with their numbers of pairs of trainings, by method, baseline, condition and overlap."""
+def read_gains(folder: Path) -> Gains:
+    """Read the differences of a benchmark, in their order."""
     texts = ("method", "baseline", "condition", "resolved", "seeds")
     found = {}
-    with path.open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(line for line in file if not line.startswith("#")):
-            values = {key: float(value) if value else None for key, value in row.items() if key not in texts}
-            one = Difference.of_listed({key: row[key] for key in texts} | values)
-            found[one.method, one.baseline, one.condition, one.iou] = one, len(row["seeds"].split())
-    return found
+    for name in {name for _, name, _, _ in SHOWN}:
+        with (folder / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(line for line in file if not line.startswith("#")):
+                values = {key: float(value) if value else None for key, value in row.items() if key not in texts}
+                one = Difference.of_listed({key: row[key] for key in texts} | values)
+                gain = Gain(one, over_trainings(one, len(row["seeds"].split())))
+                found[one.method, one.baseline, name, one.condition, one.iou] = gain
+    pairs = dict.fromkeys((method, baseline) for method, baseline, *_ in found)
+    return {pair: [found[*pair, name, kind, iou] for _, name, kind, iou in SHOWN] for pair in pairs}
 
 
 def over_trainings(one: Difference, pairs: int) -> Interval:
@@ -75,73 +122,37 @@ def over_trainings(one: Difference, pairs: int) -> Interval:
     return Interval(one.value.mean - half, one.value.mean + half)
 
 
-def gains(folder: Path) -> Table:
-    """Table of the differences of a benchmark: a row per pair of methods.
-
-    A cell has the difference, its interval by drive in brackets and that over trainings in parentheses; bold where it
-    is resolved.
-    """
-    files = {name: read_differences(folder / f"{name}.csv") for name in {name for _, name, _, _ in SHOWN}}
-    rows = [
-        TableRow(
-            f"{method} − {baseline}",
-            tuple(_cell(*files[name][method, baseline, kind, iou]) for _, name, kind, iou in SHOWN),
-        )
-        for method, baseline in pairs_of(folder)
-    ]
-    return Table("gains", "", "difference", tuple(Column(title) for title, *_ in SHOWN), tuple(rows))
+def gains(rows: Gains) -> Table:
+    """Table of what each method gives: a row per pair of methods."""
+    lines = [TableRow(_titled(pair), tuple(gain.text for gain in row)) for pair, row in rows.items()]
+    return Table("gains", "", "difference", tuple(Column(title) for title, *_ in SHOWN), tuple(lines))
 
 
-def draw(folder: Path, about: str) -> Path:
+def draw(rows: Gains, folder: Path, about: str) -> Path:
     """Draw the differences at an overlap of 0.7 in the mean of the corruptions, with both intervals."""
-    panels = [column for column in SHOWN if column[2:] == (MEAN_CORRUPTED, 0.7)]
+    panels = [place for place, column in enumerate(SHOWN) if column[2:] == (MEAN_CORRUPTED, 0.7)]
     with style():
-        pairs = pairs_of(folder)
         note = (
             "Points of AP@0.7, mean of six corruptions. Thick: 95 % by drive; thin: over trainings; orange: beyond both"
         )
-        figure = new_figure(9.5, 1.5 + 0.27 * len(pairs), about, note)
-        for axes, (title, name, kind, iou) in zip(figure.subplots(1, len(panels), sharey=True), panels, strict=True):
-            found = read_differences(folder / f"{name}.csv")
-            for row, pair in enumerate(pairs):
-                one, count = found[*pair, kind, iou]
-                trained, resolved = over_trainings(one, count), resolves(one, count)
-                color = HIGHLIGHT if resolved else COLORS[0]
-                axes.plot([100.0 * bound for bound in trained], [row, row], color=color, lw=1.0)
-                axes.plot([100.0 * bound for bound in one.by_drive], [row, row], color=color, lw=4.0, alpha=0.55)
-                axes.plot(100.0 * one.value.mean, row, "o", color=color, ms=5.0)
+        figure = new_figure(9.5, 1.5 + 0.27 * len(rows), about, note)
+        for axes, panel in zip(figure.subplots(1, len(panels), sharey=True), panels, strict=True):
+            for height, gain in enumerate(row[panel] for row in rows.values()):
+                color = HIGHLIGHT if gain.together.excludes_zero else COLORS[0]
+                axes.plot([100.0 * bound for bound in gain.trained], [height, height], color=color, lw=1.0)
+                by_drive = [100.0 * bound for bound in gain.value.by_drive]
+                axes.plot(by_drive, [height, height], color=color, lw=4.0, alpha=0.55)
+                axes.plot(100.0 * gain.value.value.mean, height, "o", color=color, ms=5.0)
             axes.axvline(0.0, color=FAINT, lw=0.8)
-            axes.set_title(title.partition(",")[0])
+            axes.set_title(SHOWN[panel][0].partition(",")[0])
             axes.grid(axis="x")
-            axes.set_yticks(range(len(pairs)), labels=[f"{method} − {baseline}" for method, baseline in pairs])
+            axes.set_yticks(range(len(rows)), labels=list(map(_titled, rows)))
         axes.invert_yaxis()
         return save(figure, folder / "gains.png", 64)
 
 
-def pairs_of(folder: Path) -> list[tuple[str, str]]:
-    """Pairs of methods of a benchmark, in their order."""
-    return list(
-        dict.fromkeys((method, baseline) for method, baseline, *_ in read_differences(folder / "differences.csv"))
-    )
-
-
-def resolves(one: Difference, pairs: int) -> bool:
-    """Whether a difference exceeds what other drives and other trainings change together.
-
-    The one interval holds the trainings fixed, the other the drives; their bounds next to 0 are added in quadrature.
-    """
-    trained, sign = over_trainings(one, pairs), math.copysign(1.0, one.value.mean)
-    bounds = (interval.low if sign > 0.0 else interval.high for interval in (one.by_drive, trained))
-    return abs(one.value.mean) > math.hypot(*(abs(one.value.mean - bound) for bound in bounds))
-
-
-def _cell(one: Difference, pairs: int) -> str:
-    trained = over_trainings(one, pairs)
-    text = f"{100 * one.value.mean:+.1f} {one.by_drive.points}"
-    if math.isnan(trained.low):
-        return text
-    text += f" ({trained.points[1:-1]})"
-    return Strong(text) if resolves(one, pairs) else text
+def _titled(pair: tuple[str, str]) -> str:
+    return " − ".join(pair)
 
 
 if __name__ == "__main__":

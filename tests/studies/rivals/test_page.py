@@ -10,7 +10,7 @@ from scipy import stats
 
 from dsrc.evaluation.metrics.intervals import Difference, Interval
 from dsrc.tables.table import Stat, Strong
-from studies.rivals.page import gains, over_trainings
+from studies.rivals.page import gains, over_trainings, read_gains
 
 
 def difference(mean: float, spread: float, by_drive: tuple[float, float], condition: str, iou: float) -> Difference:
@@ -40,7 +40,7 @@ def test_bold_is_what_both_intervals_resolve(tmp_path: Path) -> None:
             writer = csv.DictWriter(file, list(listed[0]))
             writer.writeheader()
             writer.writerows(listed)
-    (row,) = gains(tmp_path).rows
+    (row,) = gains(read_gains(tmp_path)).rows
     assert row.title == "DSRC − plain twin"
     bold = [isinstance(cell, Strong) for cell in row.cells]
     assert bold == [False, True, False, True, True, False]
