@@ -17,17 +17,17 @@ from scipy import stats
 
 from dsrc.tables.table import Column, Table, TableRow
 
-PAIRS = Path("studies/dsrc_paper/report/dsrc-sim-twins/results.csv")
+PAIRS = Path(__file__).parents[1] / "dsrc_paper/report/dsrc-sim-twins/results.csv"
 METHOD, BASELINE = "DSRC", "AttFuse (plain student)"
 LEVEL, POWER = 0.05, 0.8
 EFFECTS = (0.01, 0.02, 0.03)
 MOST = 60
-"""Largest number of pairs that is tried."""
+"""Number of pairs from which on none is tried."""
 
 
-def differences(path: Path, family: str, metric: str, method: str = METHOD, baseline: str = BASELINE) -> list[float]:
-    """Differences of two methods, training by training, of the mean of a metric over the corruptions of a family."""
-    with path.open(encoding="utf-8", newline="") as file:
+def differences(family: str, metric: str) -> list[float]:
+    """Differences of `METHOD` and `BASELINE`, training by training, of the mean of a metric over the corruptions of a family."""
+    with PAIRS.open(encoding="utf-8", newline="") as file:
         rows = [
             row
             for row in csv.DictReader(line for line in file if not line.startswith("#"))
@@ -39,8 +39,8 @@ def differences(path: Path, family: str, metric: str, method: str = METHOD, base
             np.mean([float(row[metric]) for row in rows if (row["method"], row["training_seed"]) == (name, seed)])
         )
 
-    seeds = sorted({row["training_seed"] for row in rows if row["method"] == method})
-    return [mean(method, seed) - mean(baseline, seed) for seed in seeds]
+    seeds = sorted({row["training_seed"] for row in rows if row["method"] == METHOD})
+    return [mean(METHOD, seed) - mean(BASELINE, seed) for seed in seeds]
 
 
 def power(effect: float, spread: float, pairs: int) -> float:
@@ -65,7 +65,7 @@ def spread_of(values: Sequence[float]) -> tuple[float, float]:
     return found, found * float(np.sqrt(free / stats.chi2.ppf(0.1, free)))
 
 
-def power_table(path: Path = PAIRS) -> Table:
+def power_table() -> Table:
     """Table of differences, their spread between trainings, and the pairs that each effect needs."""
     columns = [
         Column("gain", digits=1, scale=100.0),
@@ -75,7 +75,7 @@ def power_table(path: Path = PAIRS) -> Table:
     rows = []
     for family, named in (("paper", "published"), ("physical", "physical")):
         for metric, iou in (("ap_bev_50", 0.5), ("ap_bev_70", 0.7)):
-            values = differences(path, family, metric)
+            values = differences(family, metric)
             spread, most = spread_of(values)
             need = [f"{pairs_for(effect, spread)} to {pairs_for(effect, most)}" for effect in EFFECTS]
             rows.append(TableRow(f"{named}, AP@{iou}", (float(np.mean(values)), spread, most, *need)))
