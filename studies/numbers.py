@@ -127,6 +127,7 @@ def _differences() -> Iterator[tuple[str, str]]:
         ("late_snow", small / "differences.csv", "DSRC", "Late", "snow"),
         ("taught_snow", small / "differences.csv", taught, "DSRC", "snow"),
         ("taught_clean", small / "differences.csv", taught, "DSRC", "clean"),
+        ("taught_clean_plain", small / "differences.csv", "AttFuse, corrupted clouds", plain, "clean"),
     ):
         wanted = (method, baseline, condition)
         rows = [row for row in _rows(file) if (row["method"], row["baseline"], row["condition"]) == wanted]
@@ -134,8 +135,10 @@ def _differences() -> Iterator[tuple[str, str]]:
 
 
 def _interval(row: Mapping[str, str]) -> str:
-    value, low, high = (100.0 * float(row[key]) for key in ("difference", "by_drive_low", "by_drive_high"))
-    return f"{value:+.1f} [{low:.1f}, {high:.1f}]"
+    """Return a difference in points with its interval by drive; a bound near 0 has the digit that tells its side."""
+    value, *bounds = (100.0 * float(row[key]) for key in ("difference", "by_drive_low", "by_drive_high"))
+    low, high = (f"{bound:.2f}" if f"{abs(bound):.1f}" == "0.0" else f"{bound:.1f}" for bound in bounds)
+    return f"{value:+.1f} [{low}, {high}]"
 
 
 def _thresholds() -> Iterator[tuple[str, str]]:
@@ -147,6 +150,7 @@ def _thresholds() -> Iterator[tuple[str, str]]:
     for name, title, score in (
         ("inside_clean_from_02", "clean", "0.2"),
         ("inside_clean_from_025", "clean", "0.25"),
+        ("inside_published_from_02", "mean of the corruptions as published", "0.2"),
         ("inside_published_from_025", "mean of the corruptions as published", "0.25"),
         ("inside_published_from_03", "mean of the corruptions as published", "0.3"),
     ):
@@ -157,17 +161,24 @@ def _thresholds() -> Iterator[tuple[str, str]]:
 
 
 def _snow() -> Iterator[tuple[str, str]]:
-    """Yield AP at 0.5 / 0.7 of small-dsrc in our snow, alone and with helpers, and the gain at 0.5."""
-    rows = [row for row in _rows(REPORT / "snow.csv") if row["detector"] == "small-dsrc"]
+    """Yield AP at 0.5 / 0.7 in clear air and our snow, alone and with helpers, and the gains at 0.5."""
+    every = _rows(REPORT / "snow.csv")
+    rows = [row for row in every if row["detector"] == "small-dsrc"]
+    (taught,) = (row for row in every if row["line"] == "**snow, ours**" and row["detector"] == "small-dsrc-corrupted")
+    yield "helpers_gain", _team_gain(rows[0])
+    yield "snow_taught_gain", _team_gain(taught)
     first = next(place for place, row in enumerate(rows) if row["line"] == "**snow, ours**")
     for name, row in zip(("snow", "dropped"), rows[first:], strict=False):
         if row["condition"] != "snow 3" or (row["use"] == "drop_lone_points True") != (name == "dropped"):
             raise ValueError("snow.csv: the lines of our snow are others")
         for who in ("alone", "team"):
             yield f"{name}_{who}", " / ".join(f"{float(row[f'{who}_{iou}']):.1f}" for iou in (0.5, 0.7))
-        if name == "snow":
-            gain = float(row["team_0.5"]) - float(row["alone_0.5"])
-            yield "snow_gain", f"{gain:+.1f} [{float(row['low']):.1f}, {float(row['high']):.1f}]"
+        yield f"{name}_gain", _team_gain(row)
+
+
+def _team_gain(row: Mapping[str, str]) -> str:
+    gain = float(row["team_0.5"]) - float(row["alone_0.5"])
+    return f"{gain:+.1f} [{float(row['low']):.1f}, {float(row['high']):.1f}]"
 
 
 def _average_precision() -> Iterator[tuple[str, str]]:
@@ -277,8 +288,8 @@ def _cooperation() -> Iterator[tuple[str, str]]:
     """Yield what eyes give to a driver: crashes, and time and braking where it arrives with all of its eyes.
 
     `_against`: crashes of one side only, in pairs with the driver's first eyes; `_encounters`: those with a crash;
-    `_unknown`: crashes in encounters with a class that the detector lacks; `_elsewhere`: without `eebl_chain`, where
-    most crashes of who anticipates are; `_kbps`: what helpers send, kB/s.
+    `_unknown`: crashes in encounters with a class that the detector lacks; `_all`: those and all others; `_elsewhere`:
+    without `eebl_chain`, where most crashes of who anticipates are; `_kbps`: what helpers send, kB/s.
     Eyes without a name are the first of their campaign alone, since another one yields their numbers.
     """
     for plan, eyes in (
@@ -306,6 +317,11 @@ def _cooperation() -> Iterator[tuple[str, str]]:
                 if unknown := [one for one in apart if one.perception == label]:
                     crashed = sum(one.outcome == Outcome.CRASHED for one in unknown)
                     yield f"{key}_unknown", f"{crashed} of {len(unknown)}"
+                    every = counted([one for one in result.results if one.perception == label])
+                    yield f"{key}_all", _count(every)
+                    if perception != first:
+                        theirs = [one for one in result.results if one.perception == f"{first}{more}"]
+                        yield f"{key}_against_all", _compared(every, theirs, collided)
                 elsewhere = [one for one in met if one.scenario != "eebl_chain"]
                 if fewer := len(elsewhere) < len(met):
                     yield f"{key}_elsewhere", _count(elsewhere)
@@ -378,7 +394,12 @@ def _real() -> Iterator[tuple[str, str]]:
     yield "real_frames", real["frames"]
     yield "real_recall", f"{real['recall_percent']} %"
     yield "simulated_recall", f"{ours['recall_percent']} %"
+    yield "real_vehicles", real["vehicles"]
     yield "road_frames", road["frames"]
+    yield "road_vehicles", road["vehicles"]
+    small = rows["small-plain", "real, five of the 17, height auto"]
+    yield "road_small_recall", f"{small['recall_percent']} %"
+    yield "road_false", f"{road['false_boxes_per_frame']} and {small['false_boxes_per_frame']}"
     yield "road_recall", f"{road['recall_percent']} %"
 
 

@@ -26,7 +26,7 @@ MOST = 60
 
 
 def differences(family: str, metric: str) -> list[float]:
-    """Differences of `METHOD` and `BASELINE`, training by training, of the mean of a metric over the corruptions of a family."""
+    """Differences of the two methods, training by training, of the mean of a metric over a family of corruptions."""
     with PAIRS.open(encoding="utf-8", newline="") as file:
         rows = [
             row
