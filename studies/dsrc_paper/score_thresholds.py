@@ -7,8 +7,9 @@ Usage:
 Read from the detections that a benchmark has stored, under its ideal channel, of severity 3 where it has several; boxes
 below a detector's own least score are not among them. Trainings and corruptions are averaged; where two methods have
 trainings of two or more common numbers, only these count.
-In brackets is the 95 % interval of 1,000 resamples of the drives, see dsrc/evaluation/metrics/intervals.py; bold
-numbers are those whose interval excludes 0. With several baselines the intervals are left out.
+In brackets is the 95 % interval of 1,000 resamples of the drives, those of one run of traffic together, see
+dsrc/evaluation/metrics/intervals.py; bold numbers are those whose interval excludes 0. With several baselines the
+intervals are left out. The drives have to be where they were.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.drives import open_drive, traffic_runs
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.metrics.intervals import (
@@ -73,7 +75,8 @@ def main() -> None:
             for name in wanted:
                 if name not in names:
                     parser.error(f"--{option}: expected one of {', '.join(names)}, found {name}")
-        rows = rows_of(options, runs)
+        drives = np.array(traffic_runs([open_drive(Path(drive.path)) for drive in index.drives]))
+        rows = rows_of(options, runs, drives)
     except UserError as error:
         parser.error(str(error))
     several = len(options.baseline) > 1
@@ -81,8 +84,12 @@ def main() -> None:
     put_table(options.docs, f"score_thresholds_{options.results.name}", head, rows)
 
 
-def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun]) -> list[list[str]]:
-    """Return the table's rows: a baseline's by group and IoU, several baselines' by baseline and group."""
+def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun], drives: NDArray[np.int64]) -> list[list[str]]:
+    """Return the table's rows: a baseline's by group and IoU, several baselines' by baseline and group.
+
+    Args:
+        drives: (D,) number of the run of traffic of each drive.
+    """
     rows, several = [], len(options.baseline) > 1
     for baseline in options.baseline:
         for group, (family, clean) in GROUPS.items():
@@ -92,9 +99,9 @@ def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun]) -> list[list
             numbers = [{run.training for run in chosen if run.method == name} for name in (options.method, baseline)]
             if len(common := set.intersection(*numbers)) > 1:
                 chosen = [run for run in chosen if run.training in common]
-            gains = resampled(options, chosen, options.method) - resampled(options, chosen, baseline)
-            drives = len(chosen[0].cells)
-            cells = [[text_of(gain, drives, short=several) for gain in at_score] for at_score in gains]
+            found, other = (resampled(options, chosen, name, drives) for name in (options.method, baseline))
+            gains, units = found - other, len(set(drives))
+            cells = [[text_of(gain, units, short=several) for gain in at_score] for at_score in gains]
             if several:
                 rows.append([f"{options.method} − {baseline}", group, *map(" / ".join, cells)])
             else:
@@ -103,15 +110,18 @@ def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun]) -> list[list
     return rows
 
 
-def resampled(options: argparse.Namespace, runs: Sequence[StoredRun], method: str) -> NDArray[np.float64]:
+def resampled(
+    options: argparse.Namespace, runs: Sequence[StoredRun], method: str, drives: NDArray[np.int64]
+) -> NDArray[np.float64]:
     """Return (S, T, 1 + R) mean AP of a method's runs in the sample and in its resamples, by score and IoU."""
     own = [run for run in runs if run.method == method]
     found = np.zeros((len(options.scores), len(IOUS), 1 + RESAMPLES))
     for run in own:
-        drives = [join_results([read_cell(options.results / "cells", key) for key in keys]) for keys in run.cells]
-        matches = join_results(drives).matches
-        drive = np.repeat(np.arange(len(drives)), [one.matches.frames for one in drives])
-        drawn = draw_weights(drive, RESAMPLES, np.random.default_rng(SEED))
+        parts = [join_results([read_cell(options.results / "cells", key) for key in keys]) for keys in run.cells]
+        matches = join_results(parts).matches
+        drawn = draw_weights(
+            np.repeat(drives, [one.matches.frames for one in parts]), RESAMPLES, np.random.default_rng(SEED)
+        )
         weights = np.concatenate([np.ones((1, matches.frames), np.float32), drawn])
         for row, least in enumerate(options.scores):
             ranked = RankedDetections.of(matches, inside_frames=True, least_score=least)
@@ -119,11 +129,11 @@ def resampled(options: argparse.Namespace, runs: Sequence[StoredRun], method: st
     return found
 
 
-def text_of(gains: NDArray[np.float64], drives: int, *, short: bool) -> str:
+def text_of(gains: NDArray[np.float64], units: int, *, short: bool) -> str:
     """Return a difference in points with its interval, which `short` leaves out; bold where it excludes 0."""
-    interval = percentile_interval(gains[1:], drives)
+    interval = percentile_interval(gains[1:], units)
     text = f"{100 * gains[0]:+.1f}"
-    if not short and drives > 1:  # one drive tells nothing of others
+    if not short and units > 1:  # one drive tells nothing of others
         text += f" {interval.points}"
     return f"**{text}**" if interval.excludes_zero else text
 
