@@ -119,6 +119,7 @@ def _differences() -> Iterator[tuple[str, str]]:
     parts = ROOT / "studies/rivals/report/parts/dsrc-sim-2/differences_paper.csv"
     plain, taught = "AttFuse (plain student)", "DSRC, corrupted clouds"
     for name, file, method, baseline, condition in (
+        ("helpers_gain", REPORT / "helpers/dsrc-sim/differences.csv", "DSRC", "DSRC, ego alone", "clean"),
         ("gain_clean", twins / "differences.csv", "DSRC", plain, "clean"),
         ("gain_ours", twins / "differences.csv", "DSRC", plain, "mean_corrupted"),
         ("gain_published", twins / "differences_paper.csv", "DSRC", plain, "mean_corrupted"),
@@ -161,11 +162,10 @@ def _thresholds() -> Iterator[tuple[str, str]]:
 
 
 def _snow() -> Iterator[tuple[str, str]]:
-    """Yield AP at 0.5 / 0.7 in clear air and our snow, alone and with helpers, and the gains at 0.5."""
+    """Yield AP at 0.5 / 0.7 in our snow, alone and with helpers, and the gains at 0.5."""
     every = _rows(REPORT / "snow.csv")
     rows = [row for row in every if row["detector"] == "small-dsrc"]
     (taught,) = (row for row in every if row["line"] == "**snow, ours**" and row["detector"] == "small-dsrc-corrupted")
-    yield "helpers_gain", _team_gain(rows[0])
     yield "snow_taught_gain", _team_gain(taught)
     first = next(place for place, row in enumerate(rows) if row["line"] == "**snow, ours**")
     for name, row in zip(("snow", "dropped"), rows[first:], strict=False):
@@ -182,11 +182,12 @@ def _team_gain(row: Mapping[str, str]) -> str:
 
 
 def _average_precision() -> Iterator[tuple[str, str]]:
-    """Yield AP at 0.5 / 0.7 of clean frames, mean of the trainings, by number of agents and by error of the pose."""
+    """Yield AP at 0.5 / 0.7 of clean frames, mean of the trainings, with and without helpers and by error of the pose."""
+    for row in _rows(REPORT / "helpers/dsrc-sim/choice.csv"):
+        name = {"DSRC": "ap_team", "DSRC, ego alone": "ap_alone"}[row["Method"]]
+        yield name, " / ".join(f"{100.0 * float(row[f'AP@{iou}']):.1f}" for iou in (0.5, 0.7))
     folder = REPORT / "dsrc-sim-sweeps/dsrc-sim"
     for name, file, method, value in (
-        ("ap_alone", "agents.csv", "DSRC", "1"),
-        ("ap_team", "agents.csv", "DSRC", "5"),
         ("ap_poses", "pose_error.csv", "DSRC", "0.4"),
         ("ap_poses_plain", "pose_error.csv", "AttFuse (plain student)", "0.4"),
     ):
