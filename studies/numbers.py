@@ -182,7 +182,7 @@ def _team_gain(row: Mapping[str, str]) -> str:
 
 
 def _average_precision() -> Iterator[tuple[str, str]]:
-    """Yield AP at 0.5 / 0.7 of clean frames, mean of the trainings, with and without helpers and by error of the pose."""
+    """Yield AP at 0.5 / 0.7 of clean frames, mean of the trainings: alone, with helpers, with errors of the poses."""
     for row in _rows(REPORT / "helpers/dsrc-sim/choice.csv"):
         name = {"DSRC": "ap_team", "DSRC, ego alone": "ap_alone"}[row["Method"]]
         yield name, " / ".join(f"{100.0 * float(row[f'AP@{iou}']):.1f}" for iou in (0.5, 0.7))

@@ -19,9 +19,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.drives import open_drive, traffic_runs
-from dsrc.evaluation.cache import read_cell
-from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.metrics.intervals import (
     IOUS,
     RESAMPLES,
@@ -30,20 +27,13 @@ from dsrc.evaluation.metrics.intervals import (
     percentile_interval,
     resampled_ap,
 )
-from dsrc.evaluation.report.dataset_results import PAPER_SEVERITY
 from dsrc.evaluation.report.differences import SEED
-from dsrc.evaluation.stored import StoredRun, read_index
-from sensors.corruptions import CLEAN
+from dsrc.evaluation.stored import StoredRun
 from sim.errors import UserError
+from studies.dsrc_paper.stored_pairs import GROUPS, StoredPairs
 from studies.look import put_table
 
 SCORES = (0.2, 0.25, 0.3, 0.35, 0.4)
-GROUPS = {
-    "clean": ("physical", True),
-    "mean of the corruptions as published": ("paper", False),
-    "mean of our corruptions": ("physical", False),
-}
-"""Family of each row, and whether it is of clean frames."""
 
 
 def main() -> None:
@@ -61,22 +51,10 @@ def main() -> None:
     if not all(0.0 <= score <= 1.0 for score in options.scores):
         parser.error(f"--scores: expected numbers from 0 to 1, found {' '.join(map(str, options.scores))}")
     try:
-        index = read_index(options.results)
-        if len(datasets := {drive.dataset for drive in index.drives}) > 1:
-            parser.error(f"{options.results}: expected results of one dataset, found {', '.join(sorted(datasets))}")
-        severities = {run.severity for run in index.runs if run.kind != CLEAN}
-        shown = {PAPER_SEVERITY} & severities or severities
-        if len(shown) > 1:
-            parser.error(f"{options.results}: expected severity {PAPER_SEVERITY} or one, found {sorted(shown)}")
-        runs = [run for run in index.runs if run.channel == "ideal" and not run.swept]
-        runs = [run for run in runs if run.kind == CLEAN or run.severity in shown]
-        names = sorted({run.method for run in runs})
+        stored = StoredPairs.read(options.results)
         for option, wanted in (("method", [options.method]), ("baseline", options.baseline)):
-            for name in wanted:
-                if name not in names:
-                    parser.error(f"--{option}: expected one of {', '.join(names)}, found {name}")
-        drives = np.array(traffic_runs([open_drive(Path(drive.path)) for drive in index.drives]))
-        rows = rows_of(options, runs, drives)
+            stored.check(f"--{option}", wanted)
+        rows = rows_of(options, stored)
     except UserError as error:
         parser.error(str(error))
     several = len(options.baseline) > 1
@@ -84,24 +62,16 @@ def main() -> None:
     put_table(options.docs, f"score_thresholds_{options.results.name}", head, rows)
 
 
-def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun], drives: NDArray[np.int64]) -> list[list[str]]:
-    """Return the table's rows: a baseline's by group and IoU, several baselines' by baseline and group.
-
-    Args:
-        drives: (D,) number of the run of traffic of each drive.
-    """
-    rows, several = [], len(options.baseline) > 1
+def rows_of(options: argparse.Namespace, stored: StoredPairs) -> list[list[str]]:
+    """Return the table's rows: a baseline's by group and IoU, several baselines' by baseline and group."""
+    rows, several, units = [], len(options.baseline) > 1, len(set(stored.traffic))
     for baseline in options.baseline:
-        for group, (family, clean) in GROUPS.items():
-            chosen = [run for run in runs if (run.family, run.kind == CLEAN) == (family, clean)]
-            if not chosen:
+        for group in GROUPS:
+            pair = stored.pair(options.method, baseline, group)
+            if not any(pair):
                 continue
-            numbers = [{run.training for run in chosen if run.method == name} for name in (options.method, baseline)]
-            if len(common := set.intersection(*numbers)) > 1:
-                chosen = [run for run in chosen if run.training in common]
-            found, other = (resampled(options, chosen, name, drives) for name in (options.method, baseline))
-            gains, units = found - other, len(set(drives))
-            cells = [[text_of(gain, units, short=several) for gain in at_score] for at_score in gains]
+            found, other = (resampled(options, stored, own) for own in pair)
+            cells = [[text_of(gain, units, short=several) for gain in at_score] for at_score in found - other]
             if several:
                 rows.append([f"{options.method} − {baseline}", group, *map(" / ".join, cells)])
             else:
@@ -110,22 +80,16 @@ def rows_of(options: argparse.Namespace, runs: Sequence[StoredRun], drives: NDAr
     return rows
 
 
-def resampled(
-    options: argparse.Namespace, runs: Sequence[StoredRun], method: str, drives: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def resampled(options: argparse.Namespace, stored: StoredPairs, runs: Sequence[StoredRun]) -> NDArray[np.float64]:
     """Return (S, T, 1 + R) mean AP of a method's runs in the sample and in its resamples, by score and IoU."""
-    own = [run for run in runs if run.method == method]
     found = np.zeros((len(options.scores), len(IOUS), 1 + RESAMPLES))
-    for run in own:
-        parts = [join_results([read_cell(options.results / "cells", key) for key in keys]) for keys in run.cells]
-        matches = join_results(parts).matches
-        drawn = draw_weights(
-            np.repeat(drives, [one.matches.frames for one in parts]), RESAMPLES, np.random.default_rng(SEED)
-        )
+    for run in runs:
+        matches, frames = stored.matches(run)
+        drawn = draw_weights(np.repeat(stored.traffic, frames), RESAMPLES, np.random.default_rng(SEED))
         weights = np.concatenate([np.ones((1, matches.frames), np.float32), drawn])
         for row, least in enumerate(options.scores):
             ranked = RankedDetections.of(matches, inside_frames=True, least_score=least)
-            found[row] += resampled_ap(ranked, weights) / len(own)
+            found[row] += resampled_ap(ranked, weights) / len(runs)
     return found
 
 

@@ -1,0 +1,92 @@
+"""Detections that a benchmark has stored, by pairs of methods that are compared."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsrc.data.drives import open_drive, traffic_runs
+from dsrc.evaluation.cache import read_cell
+from dsrc.evaluation.detect import join_results
+from dsrc.evaluation.metrics.ap import Matches
+from dsrc.evaluation.report.dataset_results import PAPER_SEVERITY
+from dsrc.evaluation.stored import StoredRun, read_index
+from sensors.corruptions import CLEAN
+from sim.errors import DataError, SettingsError, complaint
+
+GROUPS = {
+    "clean": ("physical", True),
+    "mean of the corruptions as published": ("paper", False),
+    "mean of our corruptions": ("physical", False),
+}
+"""Family of the corruptions of a group, and whether it is of clean frames."""
+
+
+@dataclass(frozen=True)
+class StoredPairs:
+    """Stored detections on one data set, under the ideal channel, of severity 3 where there are several.
+
+    Attributes:
+        results: folder of the benchmark.
+        runs: of all methods and conditions.
+        places: (D,) name of the scenario of each drive, of the drive itself where it has none.
+        traffic: (D,) number of the run of traffic of each drive.
+    """
+
+    results: Path
+    runs: tuple[StoredRun, ...]
+    places: tuple[str, ...]
+    traffic: NDArray[np.int64]
+
+    @classmethod
+    def read(cls, results: Path) -> Self:
+        """Read the index of a benchmark's detections; its drives have to be where they were.
+
+        Raises:
+            DataError: there is none, or it has several data sets or several severities other than the paper's.
+        """
+        index = read_index(results)
+        if len(datasets := sorted({drive.dataset for drive in index.drives})) > 1:
+            raise DataError(complaint(results, "datasets", "one", ", ".join(datasets)))
+        severities = {run.severity for run in index.runs if run.kind != CLEAN}
+        shown = {PAPER_SEVERITY} & severities or severities
+        if len(shown) > 1:
+            raise DataError(complaint(results, "severity", f"{PAPER_SEVERITY} or one", sorted(shown)))
+        runs = [run for run in index.runs if run.channel == "ideal" and not run.swept]
+        runs = [run for run in runs if run.kind == CLEAN or run.severity in shown]
+        drives = [open_drive(Path(drive.path)) for drive in index.drives]
+        scenarios = [drive.protocol.get("testbed", {}).get("scenario", {}).get("name") for drive in drives]
+        places = tuple(str(name or drive.drive.name) for name, drive in zip(scenarios, drives, strict=True))
+        return cls(results, tuple(runs), places, np.array(traffic_runs(drives)))
+
+    def check(self, field: str, methods: Sequence[str]) -> None:
+        """Check that methods are there.
+
+        Raises:
+            SettingsError: one is not.
+        """
+        known = sorted({run.method for run in self.runs})
+        for name in methods:
+            if name not in known:
+                raise SettingsError(complaint(self.results, field, f"one of {', '.join(known)}", name))
+
+    def pair(self, method: str, baseline: str, group: str) -> tuple[list[StoredRun], list[StoredRun]]:
+        """Return the runs of two methods in one of `GROUPS`.
+
+        Where they have trainings of two or more common numbers, only these count.
+        """
+        family, clean = GROUPS[group]
+        chosen = [run for run in self.runs if (run.family, run.kind == CLEAN) == (family, clean)]
+        both = [[run for run in chosen if run.method == name] for name in (method, baseline)]
+        common = set.intersection(*({run.training for run in own} for own in both))
+        if len(common) > 1:
+            both = [[run for run in own if run.training in common] for own in both]
+        return both[0], both[1]
+
+    def matches(self, run: StoredRun) -> tuple[Matches, list[int]]:
+        """Return the matches of a run's detections with true boxes, and the frames of each drive."""
+        parts = [join_results([read_cell(self.results / "cells", key) for key in keys]) for keys in run.cells]
+        return join_results(parts).matches, [part.matches.frames for part in parts]
