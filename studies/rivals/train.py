@@ -1,14 +1,16 @@
-"""Trainings and tables of a question: rivals, parts of DSRC, or the paper's scale; see `plan.md`.
+"""Trainings and tables of a question: rivals, lengths, parts of DSRC, or the paper's scale; see `plan.md`.
 
 What is finished stays, an interrupted training goes on at its last epoch, and at the end `dsrc benchmark` measures all
 that the tables name, under the six corruptions in both families. A sitting on a machine that is given back: `--minutes`
 ends it, and `--kept` is a folder of detector files in half precision, one for each finished training, that is brought
 back and taken to the next. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the plan.
-Processes share the trainings of `parts` or `scale` by `--only`, with one folder; `--measure` then measures the lines of
-which all trainings are finished. Those of `rivals` follow from each other, so that one process trains them.
+Processes share the trainings of all but `rivals` by `--only`, with one folder; `--measure` then measures the lines of
+which all trainings are finished. Those of `rivals` follow from each other, so that one process trains them. Questions share
+trainings by a common `--kept`.
 
 Usage:
     python -m studies.rivals.train rivals --data data/dsrc-sim-2 --out runs/rivals
+    python -m studies.rivals.train lengths --data data/dsrc-sim-2 --out runs/lengths
     python -m studies.rivals.train parts --data data/dsrc-sim-2 --out runs/parts
     python -m studies.rivals.train scale --data data/dsrc-sim-2 --out runs/scale --kept kept --minutes 40
 """
