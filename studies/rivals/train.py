@@ -5,8 +5,8 @@ that the tables name, under the six corruptions in both families. A sitting on a
 ends it, and `--kept` is a folder of detector files in half precision, one for each finished training, that is brought
 back and taken to the next. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the plan.
 Processes share the trainings of all but `rivals` by `--only`, with one folder; `--measure` then measures the lines of
-which all trainings are finished. Those of `rivals` follow from each other, so that one process trains them. Questions share
-trainings by a common `--kept`.
+which all trainings are finished. Those of `rivals` follow from each other, so that one process trains them. Questions
+share trainings by a common `--kept`. Lines trained in bfloat16 and in float32 are not measured together.
 
 Usage:
     python -m studies.rivals.train rivals --data data/dsrc-sim-2 --out runs/rivals
@@ -190,6 +190,7 @@ def measure(options: argparse.Namespace, measured: list[Training]) -> None:
     titles = {title: runs for title, runs in titles.items() if all(done(run.name, options) for run in runs)}
     if not titles:
         raise SystemExit("measure: no line has all its trainings")
+    check_precision([detector_of(run.name, options) for runs in titles.values() for run in runs])
     put_table(
         options.docs, f"{options.question}_costs", HEAD, [cost(title, runs, options) for title, runs in titles.items()]
     )
@@ -207,6 +208,14 @@ def measure(options: argparse.Namespace, measured: list[Training]) -> None:
     write_file(plan, "\n".join(lines) + "\n", edited=True)
     device: Device = "cuda" if torch.cuda.is_available() else "cpu"
     Benchmark(plan=plan, out=options.out / "benchmark", docs=options.docs, device=device).run()
+
+
+def check_precision(paths: list[Path]) -> None:
+    """Check that detectors that are compared were trained in one precision."""
+    first, *others = ((path, read_meta(path)["settings"]["recipe"]["bfloat16"]) for path in paths)
+    for path, half in others:
+        if half != first[1]:
+            raise SettingsError(complaint(path, "bfloat16", f"{first[1]}, as {first[0]} was trained", half))
 
 
 def cost(title: str, runs: list[Training], options: argparse.Namespace) -> tuple[str, ...]:

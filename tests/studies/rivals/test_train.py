@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from dsrc.data.formats.opv2v.reader import write_frame
+from sim.errors import SettingsError
+from studies.rivals import train
 from studies.rivals.questions import CHANGES, DSRC, PLAIN, QUESTIONS, RIVALS, STRONGEST, Training, pairs, parts, rivals
 from studies.shipped.train import STARTS
 from tests.commands import run_study, study
@@ -124,6 +126,14 @@ def test_a_kept_training_of_another_length_is_refused(tmp_path: Path) -> None:
         "train: studies/rivals/kept/alone.pt: frames of the training: expected 1200, as --share 0.1 asks, found 3000; "
         "another share has another folder\n"
     )
+
+
+def test_trainings_of_two_precisions_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = {"a.pt": True, "b.pt": True, "c.pt": False}
+    monkeypatch.setattr(train, "read_meta", lambda path: {"settings": {"recipe": {"bfloat16": made[path.name]}}})
+    train.check_precision([Path("a.pt"), Path("b.pt")])
+    with pytest.raises(SettingsError, match=r"c\.pt: bfloat16: expected True, as a\.pt was trained, found False"):
+        train.check_precision([Path("a.pt"), Path("c.pt")])
 
 
 @pytest.mark.parametrize("share", [0.01, 0.2, 0.25, 0.33, 1.0])
