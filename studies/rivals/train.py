@@ -212,10 +212,10 @@ def measure(options: argparse.Namespace, measured: list[Training]) -> None:
 
 def check_precision(paths: list[Path]) -> None:
     """Check that detectors that are compared were trained in one precision."""
-    first, *others = ((path, read_meta(path)["settings"]["recipe"]["bfloat16"]) for path in paths)
-    for path, half in others:
-        if half != first[1]:
-            raise SettingsError(complaint(path, "bfloat16", f"{first[1]}, as {first[0]} was trained", half))
+    half = {path: read_meta(path)["settings"]["recipe"]["bfloat16"] for path in paths}
+    for path in paths[1:]:
+        if half[path] != half[paths[0]]:
+            raise SettingsError(complaint(path, "bfloat16", f"{half[paths[0]]}, as {paths[0]} was trained", half[path]))
 
 
 def cost(title: str, runs: list[Training], options: argparse.Namespace) -> tuple[str, ...]:
