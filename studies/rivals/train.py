@@ -48,8 +48,10 @@ from studies.shipped.train import STARTS
 
 LEAST_SCORE = 0.05
 """Score from which boxes count."""
-HEAD = ("method", "trainings", "steps of the kept weights", "parameters, M", "GFLOP a frame")
-HEAD += ("validation AP@0.5 / 0.7, %",)
+HEAD = (
+    *("method", "trainings", "steps of the kept weights", "parameters, M", "GFLOP a frame"),
+    "validation AP@0.5 / 0.7, %",
+)
 
 
 def main() -> None:
