@@ -116,15 +116,12 @@ def _only(values: set[str]) -> str:
 def _differences() -> Iterator[tuple[str, str]]:
     """Yield differences of AP between trainings, points at 0.5 / 0.7, with the interval of 95 % over drives."""
     small, twins = REPORT / "dsrc-sim-small/dsrc-sim", REPORT / "dsrc-sim-twins/dsrc-sim"
-    parts = ROOT / "studies/rivals/report/parts/dsrc-sim-2/differences_paper.csv"
     plain, taught = "AttFuse (plain student)", "DSRC, corrupted clouds"
     for name, file, method, baseline, condition in (
         ("helpers_gain", REPORT / "helpers/dsrc-sim/differences.csv", "DSRC", "DSRC, ego alone", "clean"),
         ("gain_clean", twins / "differences.csv", "DSRC", plain, "clean"),
         ("gain_ours", twins / "differences.csv", "DSRC", plain, "mean_corrupted"),
         ("gain_published", twins / "differences_paper.csv", "DSRC", plain, "mean_corrupted"),
-        ("parts_alone", parts, "DSRC", "plain twin", "mean_corrupted"),
-        ("parts_taught", parts, f"DSRC, {TAUGHT}", f"plain twin, {TAUGHT}", "mean_corrupted"),
         ("late_snow", small / "differences.csv", "DSRC", "Late", "snow"),
         ("taught_snow", small / "differences.csv", taught, "DSRC", "snow"),
         ("taught_clean", small / "differences.csv", taught, "DSRC", "clean"),
@@ -133,6 +130,11 @@ def _differences() -> Iterator[tuple[str, str]]:
         wanted = (method, baseline, condition)
         rows = [row for row in _rows(file) if (row["method"], row["baseline"], row["condition"]) == wanted]
         yield name, " / ".join(_interval(row) for row in rows)
+    for row in _rows(ROOT / "studies/rivals/report/parts/dsrc-sim-2/differences_paper.csv"):
+        twins = {("DSRC", "plain twin"): "alone", (f"DSRC, {TAUGHT}", f"plain twin, {TAUGHT}"): "taught"}
+        start = twins.get((row["method"], row["baseline"]))
+        if start and row["condition"] == "mean_corrupted":
+            yield f"parts_{start}_{row['iou'].replace('.', '')}", f"{100.0 * float(row['difference']):+.1f}"
 
 
 def _interval(row: Mapping[str, str]) -> str:

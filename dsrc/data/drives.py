@@ -110,11 +110,19 @@ def traffic_runs(drives: Sequence[Drive]) -> tuple[int, ...]:
     return tuple(known.setdefault(_traffic_run(drive), len(known)) for drive in drives)
 
 
-def _traffic_run(drive: Drive) -> object:
+def scenario_of(drive: Drive) -> str | None:
+    """Return the name of the scenario of a drive of ours; None for any other."""
     try:
-        return str(drive.protocol["testbed"]["scenario"]["name"]), str(drive.protocol["world"]["seed"])
+        return str(drive.protocol["testbed"]["scenario"]["name"])
     except (KeyError, TypeError):
+        return None
+
+
+def _traffic_run(drive: Drive) -> object:
+    scenario, world = scenario_of(drive), drive.protocol.get("world")
+    if scenario is None or not isinstance(world, dict) or "seed" not in world:
         return drive.drive
+    return scenario, str(world["seed"])
 
 
 def path_below(root: Path, drive: Path) -> Path:

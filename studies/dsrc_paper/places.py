@@ -21,13 +21,12 @@ from dsrc.evaluation.metrics.intervals import (
     RESAMPLES,
     RankedDetections,
     draw_weights,
-    percentile_interval,
     resampled_ap,
 )
 from dsrc.evaluation.report.differences import SEED
 from dsrc.evaluation.stored import StoredRun
 from sim.errors import UserError
-from studies.dsrc_paper.stored_pairs import GROUPS, StoredPairs
+from studies.dsrc_paper.stored_pairs import StoredPairs, with_interval
 from studies.look import put_table
 
 
@@ -44,17 +43,11 @@ def main() -> None:
         stored = StoredPairs.read(options.results)
         stored.check("--method", [options.method])
         stored.check("--baseline", [options.baseline])
-        pairs = {group: stored.pair(options.method, options.baseline, group) for group in GROUPS}
-        rows = rows_of(stored, {group: pair for group, pair in pairs.items() if any(pair)})
+        pairs = stored.pairs(options.method, options.baseline)
+        rows = rows_of(stored, pairs)
     except UserError as error:
         parser.error(str(error))
-    head = [
-        "place",
-        "drives",
-        "frames",
-        "boxes",
-        *(f"{group}, 0.5 / 0.7" for group, pair in pairs.items() if any(pair)),
-    ]
+    head = ["place", "drives", "frames", "boxes", *(f"{group}, 0.5 / 0.7" for group in pairs)]
     put_table(options.docs, f"places_{options.results.name}", head, rows)
 
 
@@ -90,7 +83,7 @@ def rows_of(stored: StoredPairs, pairs: dict[str, tuple[list[StoredRun], list[St
         ("all, by place", len(names), slice(first + RESAMPLES, None)),
     ):
         cells = (
-            " / ".join(_with_interval(gain[k, 0], gain[k, drawn], units) for k in range(len(IOUS))) for gain in gains
+            " / ".join(with_interval(gain[k, 0], gain[k, drawn], units) for k in range(len(IOUS))) for gain in gains
         )
         rows.append([title, str(len(stored.places)), str(len(place)), str(int(boxes.sum())), *cells])
     return rows
@@ -103,12 +96,6 @@ def mean_ap(stored: StoredPairs, runs: Sequence[StoredRun], weights: NDArray[np.
 
 def _points(gains: NDArray[np.float64]) -> str:
     return " / ".join("-" if np.isnan(gain) else f"{100 * gain:+.1f}" for gain in gains)
-
-
-def _with_interval(gain: float, drawn: NDArray[np.float64], units: int) -> str:
-    interval = percentile_interval(drawn, units)
-    text = f"{100 * gain:+.1f} {interval.points}"
-    return f"**{text}**" if interval.excludes_zero else text
 
 
 if __name__ == "__main__":

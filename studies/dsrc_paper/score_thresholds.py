@@ -13,6 +13,7 @@ intervals are left out. The drives have to be where they were.
 """
 
 import argparse
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,13 +25,12 @@ from dsrc.evaluation.metrics.intervals import (
     RESAMPLES,
     RankedDetections,
     draw_weights,
-    percentile_interval,
     resampled_ap,
 )
 from dsrc.evaluation.report.differences import SEED
 from dsrc.evaluation.stored import StoredRun
 from sim.errors import UserError
-from studies.dsrc_paper.stored_pairs import GROUPS, StoredPairs
+from studies.dsrc_paper.stored_pairs import StoredPairs, with_interval
 from studies.look import put_table
 
 SCORES = (0.2, 0.25, 0.3, 0.35, 0.4)
@@ -66,10 +66,7 @@ def rows_of(options: argparse.Namespace, stored: StoredPairs) -> list[list[str]]
     """Return the table's rows: a baseline's by group and IoU, several baselines' by baseline and group."""
     rows, several, units = [], len(options.baseline) > 1, len(set(stored.traffic))
     for baseline in options.baseline:
-        for group in GROUPS:
-            pair = stored.pair(options.method, baseline, group)
-            if not any(pair):
-                continue
+        for group, pair in stored.pairs(options.method, baseline).items():
             found, other = (resampled(options, stored, own) for own in pair)
             cells = [[text_of(gain, units, short=several) for gain in at_score] for at_score in found - other]
             if several:
@@ -95,11 +92,8 @@ def resampled(options: argparse.Namespace, stored: StoredPairs, runs: Sequence[S
 
 def text_of(gains: NDArray[np.float64], units: int, *, short: bool) -> str:
     """Return a difference in points with its interval, which `short` leaves out; bold where it excludes 0."""
-    interval = percentile_interval(gains[1:], units)
-    text = f"{100 * gains[0]:+.1f}"
-    if not short and units > 1:  # one drive tells nothing of others
-        text += f" {interval.points}"
-    return f"**{text}**" if interval.excludes_zero else text
+    text = with_interval(gains[0], gains[1:], units)
+    return re.sub(r" \[.*\]", "", text) if short else text
 
 
 if __name__ == "__main__":

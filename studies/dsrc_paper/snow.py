@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.cli.progress import progress
-from dsrc.data.drives import open_drives
+from dsrc.data.drives import open_drives, traffic_runs
 from dsrc.detectors.open import detector_sha256, open_detector
 from dsrc.evaluation.cache import CellSettings, read_cell
 from dsrc.evaluation.cells import CellJob, make_cells
@@ -189,8 +189,9 @@ def cells_of(record: Mapping[str, Any]) -> Iterator[str]:
 def measured(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Compute the cells that are missing; yield line, detector, points of AP and, at 0.5, the gain's interval."""
     readers = open_drives(options.data)
-    places = zip(readers, frame_positions(readers, options.frames), strict=True)
+    places = list(zip(readers, frame_positions(readers, options.frames), strict=True))
     drives = [Part(reader.drive, reader.digest(), tuple(own)) for reader, own in places if own]
+    traffic = traffic_runs([reader for reader, own in places if own])
     detectors = {name: Tested.of(text) for name, text in named(options.checkpoint)}
     wanted = {
         (line, name): [jobs_of(line, detector, agents, drives) for agents in (1, detector.agents)]
@@ -200,13 +201,13 @@ def measured(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
     jobs = {job.settings.key: job for pair in wanted.values() for cells in pair for job in cells}
     with progress("snow") as report:
         CELLS.run(options.out / "cells", jobs, SERIAL, report)
-    number = np.repeat(np.arange(len(drives)), [len(part.positions) for part in drives])
+    number = np.repeat(traffic, [len(part.positions) for part in drives])
     drawn = draw_weights(number, RESAMPLES, np.random.default_rng(SEED))
     weights = np.concatenate([np.ones((1, len(number)), np.float32), drawn])
     for (line, name), pair in wanted.items():
         found = [[read_cell(options.out / "cells", job.settings.key) for job in cells] for cells in pair]
         alone, team = (resampled_ap(RankedDetections.of(join_results(part).matches), weights) for part in found)
-        interval = percentile_interval((team - alone)[0, 1:], len(drives))
+        interval = percentile_interval((team - alone)[0, 1:], len(set(traffic)))
         yield {
             "line": line.title,
             "condition": line.condition.label,

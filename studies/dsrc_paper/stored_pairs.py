@@ -8,10 +8,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.drives import open_drive, traffic_runs
+from dsrc.data.drives import open_drive, scenario_of, traffic_runs
 from dsrc.evaluation.cache import read_cell
 from dsrc.evaluation.detect import join_results
 from dsrc.evaluation.metrics.ap import Matches
+from dsrc.evaluation.metrics.intervals import percentile_interval
 from dsrc.evaluation.report.dataset_results import PAPER_SEVERITY
 from dsrc.evaluation.stored import StoredRun, read_index
 from sensors.corruptions import CLEAN
@@ -46,7 +47,8 @@ class StoredPairs:
         """Read the index of a benchmark's detections; its drives have to be where they were.
 
         Raises:
-            DataError: there is none, or it has several data sets or several severities other than the paper's.
+            DataError: there is none, it has several data sets or several severities other than the paper's, or a drive
+                is not where it was.
         """
         index = read_index(results)
         if len(datasets := sorted({drive.dataset for drive in index.drives})) > 1:
@@ -58,8 +60,7 @@ class StoredPairs:
         runs = [run for run in index.runs if run.channel == "ideal" and not run.swept]
         runs = [run for run in runs if run.kind == CLEAN or run.severity in shown]
         drives = [open_drive(Path(drive.path)) for drive in index.drives]
-        scenarios = [drive.protocol.get("testbed", {}).get("scenario", {}).get("name") for drive in drives]
-        places = tuple(str(name or drive.drive.name) for name, drive in zip(scenarios, drives, strict=True))
+        places = tuple(scenario_of(drive) or drive.drive.name for drive in drives)
         return cls(results, tuple(runs), places, np.array(traffic_runs(drives)))
 
     def check(self, field: str, methods: Sequence[str]) -> None:
@@ -86,7 +87,18 @@ class StoredPairs:
             both = [[run for run in own if run.training in common] for own in both]
         return both[0], both[1]
 
+    def pairs(self, method: str, baseline: str) -> dict[str, tuple[list[StoredRun], list[StoredRun]]]:
+        """Return the runs of two methods by the groups in which both have some."""
+        return {group: pair for group in GROUPS if all(pair := self.pair(method, baseline, group))}
+
     def matches(self, run: StoredRun) -> tuple[Matches, list[int]]:
         """Return the matches of a run's detections with true boxes, and the frames of each drive."""
         parts = [join_results([read_cell(self.results / "cells", key) for key in keys]) for keys in run.cells]
         return join_results(parts).matches, [part.matches.frames for part in parts]
+
+
+def with_interval(gain: float, resampled: NDArray[np.float64], units: int) -> str:
+    """Return a difference in points with its interval, none of one unit; bold where it excludes 0."""
+    interval = percentile_interval(resampled, units)
+    text = f"{100 * gain:+.1f}" + (f" {interval.points}" if units > 1 else "")
+    return f"**{text}**" if interval.excludes_zero else text

@@ -22,7 +22,7 @@ METHOD, BASELINE = "DSRC", "AttFuse (plain student)"
 LEVEL, POWER = 0.05, 0.8
 EFFECTS = (0.01, 0.02, 0.03)
 MOST = 60
-"""Number of pairs from which on none is tried."""
+"""Pairs of trainings at which the search ends."""
 
 
 def differences(family: str, metric: str) -> list[float]:

@@ -43,7 +43,7 @@ from dsrc.training.train import train
 from sim.errors import SettingsError, UserError, complaint
 from sim.files import write_file
 from studies.look import put_table
-from studies.rivals.questions import QUESTIONS, Training, pairs, rivals
+from studies.rivals.questions import DOUBLED, QUESTIONS, Training, pairs, rivals
 from studies.shipped.train import STARTS
 
 LEAST_SCORE = 0.05
@@ -65,7 +65,9 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, help="folder of detectors of finished trainings; default: none")
     parser.add_argument("--minutes", type=float, help="end of this sitting; default: when all is done")
     parser.add_argument("--share", type=float, default=1.0, help="share of the steps, to try the plan")
-    parser.add_argument("--longest", type=int, help="length at which rivals end, before the share; default: the plan's")
+    parser.add_argument(
+        "--longest", type=int, choices=DOUBLED, help="steps at which rivals end, before the share; default: the last"
+    )
     parser.add_argument("--recipe", choices=sorted(RECIPES), help="in place of the plan's, to try a small network")
     parser.add_argument("--frames", type=int, help="frames of the benchmark; default: all")
     parser.add_argument("--docs", type=Path, help="Markdown document that gets the tables; default: none")
@@ -78,7 +80,7 @@ def main() -> None:
     if options.only and options.question == "rivals":
         parser.error("rivals: each training follows from how others ended; leave out --only")
     if options.longest and options.question != "rivals":
-        parser.error("longest: only the lengths of rivals are tried one after the other")
+        parser.error(f"--longest: expected with rivals alone, found with {options.question}")
     begun = time.monotonic()
     if options.minutes is not None:
         signal.signal(signal.SIGALRM, signal.default_int_handler)

@@ -1,8 +1,9 @@
 """Intervals of differences in average precision: the paired bootstrap over frames and over drives.
 
-The frames of a benchmark are a sample. A resample draws as many frames, or as many drives with all their frames, as
-there are, with replacement: frame f is in it w_f times. Its average precision is computed anew, from the detections k
-of all frames in the order of falling confidence, in frame f(k), hit (h_k = 1) or not (0), and from N_f true boxes:
+The frames of a benchmark are a sample. A resample draws as many frames, or as many runs of traffic with all frames of
+their drives (`dsrc.data.drives.traffic_runs`), as there are, with replacement: frame f is in it w_f times. Its average
+precision is computed anew, from the detections k of all frames in the order of falling confidence, in frame f(k), hit
+(h_k = 1) or not (0), and from N_f true boxes:
 
     TP_k = sum over j <= k of w_f(j) h_j        n_k = sum over j <= k of w_f(j)
     AP = sum over k of w_f(k) h_k (max over j >= k of TP_j / n_j) / sum over f of w_f N_f
@@ -93,7 +94,7 @@ def draw_weights(group: NDArray[np.int64], count: int, rng: np.random.Generator)
     """Draw (count, F) multiplicities of the frames in each resample.
 
     Args:
-        group: (F,) number, from 0, of the unit drawn as a whole: the frame itself or its drive.
+        group: (F,) number, from 0, of the unit drawn as a whole: the frame itself or its run of traffic.
     """
     n = int(group.max(initial=-1)) + 1
     if n == 0:
@@ -142,7 +143,7 @@ def percentile_interval(values: NDArray[np.float64], units: int, level: float = 
     wider than the resamples of few units: at 7 units 0.4 % and 99.6 % for a level of 95 %.
 
     Args:
-        units: number of frames or drives drawn from; fewer than two have no interval.
+        units: number of frames or runs drawn from; fewer than two have no interval.
         level: share of samples whose interval holds the true value.
     """
     from scipy import stats  # two seconds: a worker that only detects does not need it
@@ -167,7 +168,7 @@ class Difference:
         value: difference in average precision or mCE, means over the trainings; its spread is that of the differences
             between trainings of one seed, NaN with fewer than two common seeds.
         by_frame: interval over resampled frames.
-        by_drive: interval over resampled drives.
+        by_drive: interval over resampled runs of traffic, of each drive where no two show the same.
         seeds: of the trainings that count, those that both methods have; empty where all trainings count.
     """
 

@@ -184,8 +184,8 @@ def _differences(
 
     Args:
         by_frame: metrics of methods in the sample, then in resamples of its frames.
-        by_drive: likewise, of its drives.
-        units: numbers of frames and drives.
+        by_drive: likewise, of its runs of traffic.
+        units: numbers of frames and runs.
     """
     names = (pair.method, pair.baseline)
     first, second = ([one.seed for one in results.trained[name]] for name in names)

@@ -57,6 +57,21 @@ def test_all_rivals_are_trained_at_one_length_before_the_next_and_none_longer_th
     assert trials == sorted(trials) and set(trials) == {1000, 2000}
 
 
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (
+            ("rivals", "--longest", "500"),
+            "argument --longest: invalid choice: 500 (choose from 1000, 2000, 4000, 8000)",
+        ),
+        (("parts", "--longest", "2000"), "--longest: expected with rivals alone, found with parts"),
+    ],
+)
+def test_a_length_that_no_rival_has_is_refused(options: tuple[str, ...], told: str, tmp_path: Path) -> None:
+    found = run_study("rivals.train", *options, "--list", "--out", str(tmp_path))
+    assert found.returncode == 2 and told in found.stderr
+
+
 def test_questions_share_a_training_by_its_name() -> None:
     known = {run.name: replace(run, title="") for run in plan("lengths")}
     others = *rivals(lambda name: -float(name.count("slow"))), *plan("parts")
