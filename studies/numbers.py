@@ -145,11 +145,8 @@ def _interval(row: Mapping[str, str]) -> str:
 
 
 def _thresholds() -> Iterator[tuple[str, str]]:
-    """Yield the gain of DSRC with detections sorted inside frames, by the score from which boxes count."""
-    page = (REPORT.parent / "report.md").read_text(encoding="utf-8")
-    block = page.partition("<!-- begin score_thresholds_twins -->\n")[2].partition("\n<!-- end")[0]
-    head, _, *lines = (line.strip("| ").split(" | ") for line in block.splitlines())
-    cells = {line[0]: dict(zip(head[1:], line[1:], strict=True)) for line in lines}
+    """Yield the gain of DSRC sorted inside frames, by the score from which boxes count, and resampled by place."""
+    cells = _table("score_thresholds_twins")
     for name, title, score in (
         ("inside_clean_from_02", "clean", "0.2"),
         ("inside_clean_from_025", "clean", "0.25"),
@@ -157,10 +154,23 @@ def _thresholds() -> Iterator[tuple[str, str]]:
         ("inside_published_from_025", "mean of the corruptions as published", "0.25"),
         ("inside_published_from_03", "mean of the corruptions as published", "0.3"),
     ):
-        both = (
-            cells[f"{title}, {iou}"][score].strip("*").replace("[+", "[").replace(", +", ", ") for iou in (0.5, 0.7)
-        )
-        yield name, " / ".join(both)
+        yield name, " / ".join(_plain(cells[f"{title}, {iou}"][score]) for iou in (0.5, 0.7))
+    by_place = _table("places_twins")["all, by place"]
+    for name, title in (("published", "mean of the corruptions as published"), ("ours", "mean of our corruptions")):
+        yield f"by_place_{name}", _plain(by_place[f"{title}, 0.5 / 0.7"])
+
+
+def _table(name: str) -> dict[str, dict[str, str]]:
+    """Return the rows of a table in the report on the paper, by their first cells."""
+    page = (REPORT.parent / "report.md").read_text(encoding="utf-8")
+    block = page.partition(f"<!-- begin {name} -->\n")[2].partition("\n<!-- end")[0]
+    head, _, *lines = (line.strip("| ").split(" | ") for line in block.splitlines())
+    return {line[0]: dict(zip(head[1:], line[1:], strict=True)) for line in lines}
+
+
+def _plain(cell: str) -> str:
+    """Return a cell without stars, and bounds without the sign of a positive one."""
+    return cell.replace("*", "").replace("[+", "[").replace(", +", ", ")
 
 
 def _snow() -> Iterator[tuple[str, str]]:

@@ -3,10 +3,11 @@
 What is finished stays, an interrupted training goes on at its last epoch, and at the end `dsrc benchmark` measures all
 that the tables name, under the six corruptions in both families. A sitting on a machine that is given back: `--minutes`
 ends it, and `--kept` is a folder of detector files in half precision, one for each finished training, that is brought
-back and taken to the next. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the plan.
-Processes share the trainings of all but `rivals` by `--only`, with one folder; `--measure` then measures the lines of
-which all trainings are finished. Those of `rivals` follow from each other, so that one process trains them. Questions
-share trainings by a common `--kept`. Lines trained in bfloat16 and in float32 are not measured together.
+back and taken to the next. Beside each is its record, which is enough for a training that nothing starts from and no
+table names: its weights may be deleted. Questions share trainings by a common `--kept`; lines trained in bfloat16 and
+in float32 are not measured together. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the
+plan. Processes share the trainings of all but `rivals`, which follow from each other, by `--only`, with one folder;
+`--measure` then measures the lines of which all trainings are finished.
 
 Usage:
     python -m studies.rivals.train rivals --data data/dsrc-sim-2 --out runs/rivals
@@ -37,6 +38,7 @@ from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.sample import make_sample
 from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.options.detection import Device
+from dsrc.tables.files import json_text
 from dsrc.training.recipes import RECIPES
 from dsrc.training.run_folder import DETECTOR, RESULT
 from dsrc.training.train import train
@@ -46,6 +48,7 @@ from studies.look import put_table
 from studies.rivals.questions import DOUBLED, QUESTIONS, Training, pairs, rivals
 from studies.shipped.train import STARTS
 
+_NOT_FINISHED = "{}: this training comes first and is not finished"
 LEAST_SCORE = 0.05
 """Score from which boxes count."""
 HEAD = (
@@ -133,8 +136,8 @@ def named(name: str, options: argparse.Namespace) -> bool:
 
 
 def finish(run: Training, options: argparse.Namespace) -> None:
-    """Train a run that is not finished, and keep its detector."""
-    if done(run.name, options) is None:
+    """Train a run that is not finished, and keep its detector and record."""
+    if done(run.name, options) is None and (run.title or record_of(run.name, options) is None):
         start, teacher = (detector_of(name, options) if name else None for name in (run.start, run.teacher))
         made = train(
             run.recipe(options.share, options.workers),
@@ -151,6 +154,8 @@ def finish(run: Training, options: argparse.Namespace) -> None:
             part = options.kept / f"{run.name}.part"
             shutil.copyfile(made, part)
             part.replace(options.kept / f"{run.name}.pt")
+            record = record_of(run.name, options) or {}
+            write_file(options.kept / f"{run.name}.json", json_text(record))
 
 
 def done(name: str, options: argparse.Namespace) -> Path | None:
@@ -163,27 +168,43 @@ def done(name: str, options: argparse.Namespace) -> Path | None:
 
 def check_length(run: Training, options: argparse.Namespace) -> None:
     """Check that a detector that is there was trained on as many frames as the plan asks."""
-    if path := done(run.name, options):
-        made, asked = read_meta(path)["settings"]["recipe"], run.recipe(options.share)
-        found, wanted = made["epochs"] * made["epoch_frames"], asked.epochs * (asked.epoch_frames or 0)
-        if found != wanted:
+    if record := record_of(run.name, options):
+        asked = run.recipe(options.share)
+        wanted = asked.epochs * (asked.epoch_frames or 0)
+        if record["frames"] != wanted:
             expected, hint = f"{wanted}, as --share {options.share:g} asks", "; another share has another folder"
-            raise SettingsError(complaint(path, "frames of the training", expected, found, hint))
+            path = done(run.name, options) or options.kept / f"{run.name}.json"
+            raise SettingsError(complaint(path, "frames of the training", expected, record["frames"], hint))
+
+
+def record_of(name: str, options: argparse.Namespace) -> dict[str, Any] | None:
+    """Return frames of the training, precision and AP on the validation drives of a finished run; None of another."""
+    if path := done(name, options):
+        meta: Any = read_meta(path)
+        recipe, metrics = meta["settings"]["recipe"], meta["metrics"]
+        return {
+            "frames": recipe["epochs"] * recipe["epoch_frames"],
+            "bfloat16": recipe["bfloat16"],
+            **{name: float(metrics[f"val/{name}"]) for name in ("ap_bev_50", "ap_bev_70")},
+        }
+    kept = options.kept / f"{name}.json" if options.kept else None
+    return json.loads(kept.read_text(encoding="utf-8")) if kept and kept.is_file() else None
 
 
 def detector_of(name: str, options: argparse.Namespace) -> Path:
     """Return the detector of a run that is finished."""
     path = done(name, options)
     if path is None:
-        raise SystemExit(f"{name}: this training comes first and is not finished")
+        raise SystemExit(_NOT_FINISHED.format(name))
     return path
 
 
 def validated(name: str, options: argparse.Namespace) -> tuple[float, float]:
     """Return AP@0.5 and AP@0.7 of a finished run on the validation drives."""
-    metrics: Any = read_meta(detector_of(name, options))["metrics"]
-    half, seven = (float(metrics[f"val/ap_bev_{iou}"]) for iou in (50, 70))
-    return half, seven
+    record = record_of(name, options)
+    if record is None:
+        raise SystemExit(_NOT_FINISHED.format(name))
+    return record["ap_bev_50"], record["ap_bev_70"]
 
 
 def measure(options: argparse.Namespace, measured: list[Training]) -> None:

@@ -1,5 +1,6 @@
 """Trainings of the questions: their order, one factor each, and a tiny run that a sitting cuts."""
 
+import json
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -132,6 +133,25 @@ def test_processes_share_trainings_and_lines_that_are_not_finished_are_not_measu
     study("rivals.train", "scale", *small, *folder, "--measure")
     table = (tmp_path / "runs/benchmark/tables.md").read_text()
     assert PLAIN in table and "where2comm" not in table and DSRC not in table
+
+
+def test_records_without_weights_choose_the_rate(tmp_path: Path) -> None:
+    """All methods but late fusion were better at the lower rate."""
+    for run in rivals(lambda name: 0.0, longest=1000):
+        recipe = run.recipe(0.25)
+        good = run.name.endswith("-slow") != (run.method == "late")
+        record = {"frames": recipe.epochs * (recipe.epoch_frames or 0), "bfloat16": True}
+        record |= {"ap_bev_50": 0.7 if good else 0.6, "ap_bev_70": 0.5}
+        (tmp_path / f"{run.name}.json").write_text(json.dumps(record))
+    options = ("--share", "0.25", "--longest", "1000", "--kept", str(tmp_path), "--out", str(tmp_path / "runs"))
+    found = run_study("rivals.train", "rivals", *options, "--measure")
+    assert found.stderr == "measure: no line has all its trainings\n"
+    named = [line.partition(":")[0] for line in found.stdout.splitlines()]
+    assert {name: named.count(name) for name in ("late-1000-0", "late-1000-0-slow")} == {
+        "late-1000-0": 2,  # tried, then measured
+        "late-1000-0-slow": 1,
+    }
+    assert named.count("early-1000-0") == 1 and named.count("early-1000-0-slow") == 2
 
 
 def test_a_kept_training_of_another_length_is_refused(tmp_path: Path) -> None:
