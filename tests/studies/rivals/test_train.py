@@ -140,8 +140,8 @@ def test_records_without_weights_choose_the_rate(tmp_path: Path) -> None:
     for run in rivals(lambda name: 0.0, longest=1000):
         recipe = run.recipe(0.25)
         good = run.name.endswith("-slow") != (run.method == "late")
-        record = {"frames": recipe.epochs * (recipe.epoch_frames or 0), "bfloat16": True}
-        record |= {"ap_bev_50": 0.7 if good else 0.6, "ap_bev_70": 0.5}
+        frames = recipe.epochs * (recipe.epoch_frames or 0)
+        record = {"frames": frames, "bfloat16": True, "ap_bev_50": 0.7 if good else 0.6, "ap_bev_70": 0.5}
         (tmp_path / f"{run.name}.json").write_text(json.dumps(record))
     options = ("--share", "0.25", "--longest", "1000", "--kept", str(tmp_path), "--out", str(tmp_path / "runs"))
     found = run_study("rivals.train", "rivals", *options, "--measure")
