@@ -5,8 +5,8 @@ Usage:
 
 Read from the detections that a benchmark has stored, sorted over all frames. Trainings and corruptions are averaged. A
 place is a scenario; its row is the difference of the AP on its frames alone. The intervals of 95 % are of 1,000
-resamples of the drives, then of the places with all their drives (dsrc/evaluation/metrics/intervals.py); bold numbers
-are those whose interval excludes 0.
+resamples of the drives, those of one scenario and seed together, then of the places with all their drives
+(dsrc/evaluation/metrics/intervals.py); bold numbers are those whose interval excludes 0.
 """
 
 import argparse
@@ -44,11 +44,10 @@ def main() -> None:
         stored.check("--method", [options.method])
         stored.check("--baseline", [options.baseline])
         pairs = stored.pairs(options.method, options.baseline)
-        rows = rows_of(stored, pairs)
+        head = ["place", "drives", "frames", "boxes", *(f"{group}, 0.5 / 0.7" for group in pairs)]
+        put_table(options.docs, f"places_{options.results.name}", head, rows_of(stored, pairs))
     except UserError as error:
         parser.error(str(error))
-    head = ["place", "drives", "frames", "boxes", *(f"{group}, 0.5 / 0.7" for group in pairs)]
-    put_table(options.docs, f"places_{options.results.name}", head, rows)
 
 
 def rows_of(stored: StoredPairs, pairs: dict[str, tuple[list[StoredRun], list[StoredRun]]]) -> list[list[str]]:

@@ -54,12 +54,11 @@ def main() -> None:
         stored = StoredPairs.read(options.results)
         for option, wanted in (("method", [options.method]), ("baseline", options.baseline)):
             stored.check(f"--{option}", wanted)
-        rows = rows_of(options, stored)
+        several = ["difference"] if len(options.baseline) > 1 else []
+        head = [*several, "boxes count from", *(f"{score:g}" for score in options.scores)]
+        put_table(options.docs, f"score_thresholds_{options.results.name}", head, rows_of(options, stored))
     except UserError as error:
         parser.error(str(error))
-    several = len(options.baseline) > 1
-    head = [*(["difference"] if several else []), "boxes count from", *(f"{score:g}" for score in options.scores)]
-    put_table(options.docs, f"score_thresholds_{options.results.name}", head, rows)
 
 
 def rows_of(options: argparse.Namespace, stored: StoredPairs) -> list[list[str]]:

@@ -84,6 +84,8 @@ def main() -> None:
         parser.error("rivals: each training follows from how others ended; leave out --only")
     if options.longest and options.question != "rivals":
         parser.error(f"--longest: expected with rivals alone, found with {options.question}")
+    if not 0.0 < options.share <= 1.0:
+        parser.error(f"--share: expected above 0 and at most 1, found {options.share:g}")
     begun = time.monotonic()
     if options.minutes is not None:
         signal.signal(signal.SIGALRM, signal.default_int_handler)
@@ -126,8 +128,13 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
         if run.title:
             yield run
     if options.only and not any(named(name, options) for name in known):
-        raise SystemExit(f"only: no training is called {' or '.join(options.only)}; --list prints their names")
-    print(f"at most {sum(run.steps for run in known.values() if named(run.name, options))} steps in all")
+        hint = "; --list prints them"
+        raise SettingsError(
+            complaint(options.question, "--only", "names of its trainings", " ".join(options.only), hint)
+        )
+    print(
+        f"at most {sum(run.steps for run in known.values() if named(run.name, options))} steps in all, before --share"
+    )
 
 
 def named(name: str, options: argparse.Namespace) -> bool:

@@ -62,6 +62,12 @@ def test_places_are_drawn_with_all_their_drives(tmp_path: Path, monkeypatch: pyt
     assert by_drive[4].startswith("**+90.0 [")
 
 
+def test_a_document_that_is_missing_is_one_line(tmp_path: Path) -> None:
+    results, _ = write_places(tmp_path, ("crossing", "bend"))
+    found = run_study("dsrc_paper.places", str(results), "--baseline", "rival", "--docs", str(tmp_path / "page.md"))
+    assert found.returncode == 2 and found.stderr.endswith("page.md: no such file\n")
+
+
 def test_an_unknown_method_is_refused(tmp_path: Path) -> None:
     write_results(
         tmp_path / "toy", write_drives(tmp_path / "data"), {"DSRC": {0: (0.3, 0.0)}, "rival": {0: (0.5, 0.0)}}

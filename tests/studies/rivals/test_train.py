@@ -66,9 +66,11 @@ def test_all_rivals_are_trained_at_one_length_before_the_next_and_none_longer_th
             "argument --longest: invalid choice: 500 (choose from 1000, 2000, 4000, 8000)",
         ),
         (("parts", "--longest", "2000"), "--longest: expected with rivals alone, found with parts"),
+        (("parts", "--share", "nan"), "--share: expected above 0 and at most 1, found nan"),
+        (("parts", "--share", "0"), "--share: expected above 0 and at most 1, found 0"),
     ],
 )
-def test_a_length_that_no_rival_has_is_refused(options: tuple[str, ...], told: str, tmp_path: Path) -> None:
+def test_a_length_or_share_that_no_training_has_is_refused(options: tuple[str, ...], told: str, tmp_path: Path) -> None:
     found = run_study("rivals.train", *options, "--list", "--out", str(tmp_path))
     assert found.returncode == 2 and told in found.stderr
 
