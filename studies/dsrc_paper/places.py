@@ -16,13 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.evaluation.metrics.intervals import (
-    IOUS,
-    RESAMPLES,
-    RankedDetections,
-    draw_weights,
-    resampled_ap,
-)
+from dsrc.evaluation.metrics.intervals import RESAMPLES, RankedDetections, draw_weights, resampled_ap
 from dsrc.evaluation.report.differences import SEED
 from dsrc.evaluation.stored import StoredRun
 from sim.errors import UserError
@@ -77,13 +71,11 @@ def rows_of(stored: StoredPairs, pairs: dict[str, tuple[list[StoredRun], list[St
         ]
         for k, name in enumerate(names)
     ]
-    for title, units, drawn in (
-        ("all, by drive", len(set(stored.traffic)), slice(first, first + RESAMPLES)),
-        ("all, by place", len(names), slice(first + RESAMPLES, None)),
-    ):
-        cells = (
-            " / ".join(with_interval(gain[k, 0], gain[k, drawn], units) for k in range(len(IOUS))) for gain in gains
-        )
+    runs = len(set(stored.traffic))
+    by_drive = "all, by drive" if runs == len(stored.places) else f"all, by drive ({runs} runs of traffic)"
+    resamples = np.arange(first, len(weights)).reshape(2, RESAMPLES)
+    for title, units, drawn in ((by_drive, runs, resamples[0]), ("all, by place", len(names), resamples[1])):
+        cells = (" / ".join(with_interval(own[[0, *drawn]], units) for own in gain) for gain in gains)
         rows.append([title, str(len(stored.places)), str(len(place)), str(int(boxes.sum())), *cells])
     return rows
 
@@ -94,7 +86,7 @@ def mean_ap(stored: StoredPairs, runs: Sequence[StoredRun], weights: NDArray[np.
 
 
 def _points(gains: NDArray[np.float64]) -> str:
-    return " / ".join("-" if np.isnan(gain) else f"{100 * gain:+.1f}" for gain in gains)
+    return " / ".join("-" if np.isnan(gain) else f"{round(100 * gain, 1) + 0.0:+.1f}" for gain in gains)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ intervals are left out. The drives have to be where they were.
 """
 
 import argparse
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -67,7 +66,7 @@ def rows_of(options: argparse.Namespace, stored: StoredPairs) -> list[list[str]]
     for baseline in options.baseline:
         for group, pair in stored.pairs(options.method, baseline).items():
             found, other = (resampled(options, stored, own) for own in pair)
-            cells = [[text_of(gain, units, short=several) for gain in at_score] for at_score in found - other]
+            cells = [[with_interval(gain, units, shown=not several) for gain in at_score] for at_score in found - other]
             if several:
                 rows.append([f"{options.method} − {baseline}", group, *map(" / ".join, cells)])
             else:
@@ -87,12 +86,6 @@ def resampled(options: argparse.Namespace, stored: StoredPairs, runs: Sequence[S
             ranked = RankedDetections.of(matches, inside_frames=True, least_score=least)
             found[row] += resampled_ap(ranked, weights) / len(runs)
     return found
-
-
-def text_of(gains: NDArray[np.float64], units: int, *, short: bool) -> str:
-    """Return a difference in points with its interval, which `short` leaves out; bold where it excludes 0."""
-    text = with_interval(gains[0], gains[1:], units)
-    return re.sub(r" \[.*\]", "", text) if short else text
 
 
 if __name__ == "__main__":

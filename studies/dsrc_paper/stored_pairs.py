@@ -97,8 +97,14 @@ class StoredPairs:
         return join_results(parts).matches, [part.matches.frames for part in parts]
 
 
-def with_interval(gain: float, resampled: NDArray[np.float64], units: int) -> str:
-    """Return a difference in points with its interval, none of one unit; bold where it excludes 0."""
-    interval = percentile_interval(resampled, units)
-    text = f"{100 * gain:+.1f}" + (f" {interval.points}" if units > 1 else "")
+def with_interval(gains: NDArray[np.float64], units: int, *, shown: bool = True) -> str:
+    """Return a difference in points with its interval, none of one unit; bold where it excludes 0.
+
+    Args:
+        gains: (1 + R,) difference in the sample, then in its resamples.
+        units: number of units drawn from.
+        shown: False leaves the interval out.
+    """
+    interval = percentile_interval(gains[1:], units)
+    text = f"{100 * gains[0]:+.1f}" + (f" {interval.points}" if shown and units > 1 else "")
     return f"**{text}**" if interval.excludes_zero else text

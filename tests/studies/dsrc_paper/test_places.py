@@ -15,11 +15,11 @@ from tests.dsrc.evaluation.small import write_drives
 from tests.studies.dsrc_paper.test_score_thresholds import write_results
 
 
-def write_places(root: Path, places: tuple[str, ...]) -> tuple[Path, list[Path]]:
+def write_places(root: Path, places: tuple[str, ...], seeds: tuple[int, ...] = ()) -> tuple[Path, list[Path]]:
     """Write results of a method that finds all and of one of which one training of two does; a drive for each place."""
     drives = write_drives(root / "data", drives=len(places))
     paths = sorted(drives.iterdir())
-    for seed, (path, place) in enumerate(zip(paths, places, strict=True)):
+    for path, place, seed in zip(paths, places, seeds or range(len(places)), strict=True):
         protocol = {"world": {"seed": seed}, "testbed": {"scenario": {"name": place}}}
         (path / "data_protocol.yaml").write_text(yaml.safe_dump({**open_drive(path).protocol, **protocol}))
     rival = {0: (0.5, 0.0), 1: (0.5, 20.0)}
@@ -45,6 +45,12 @@ def test_of_one_place_nothing_is_known_of_others(tmp_path: Path) -> None:
     results, _ = write_places(tmp_path, ("crossing", "crossing"))
     *_, by_drive, by_place = study("dsrc_paper.places", str(results), "--baseline", "rival").splitlines()
     assert "**+50.0 [+50.0, +50.0]**" in by_drive and by_place.endswith("| +50.0 / +50.0 |")
+
+
+def test_drives_of_one_run_of_traffic_are_one(tmp_path: Path) -> None:
+    results, _ = write_places(tmp_path, ("crossing", "crossing", "bend"), (1, 1, 1))
+    *_, by_drive, _ = study("dsrc_paper.places", str(results), "--baseline", "rival").splitlines()
+    assert by_drive.startswith("| all, by drive (2 runs of traffic) | 3 |")
 
 
 def test_places_are_drawn_with_all_their_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
