@@ -114,11 +114,15 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
 
     plan = partial(rivals, longest=options.longest) if options.longest else QUESTIONS[options.question]
     for one in plan(ranked):
+        told = one.name in known
         run = known[one.name] = replace(one, base=options.recipe or one.base)
         if not named(run.name, options):
             continue
-        start = f"from {run.start}" if run.start else "from random weights"
-        print(f"{run.name}: {run.method}, {run.stage}, at most {run.steps} steps, {start}", flush=True)
+        if told:
+            print(f"{run.name}: above; a training of {run.title}", flush=True)
+        else:
+            start = f"from {run.start}" if run.start else "from random weights"
+            print(f"{run.name}: {run.method}, {run.stage}, {steps_of(run, options)} steps, {start}", flush=True)
         if not options.list:
             check_length(run, options)
         if not (options.list or options.measure):
@@ -132,9 +136,13 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
         raise SettingsError(
             complaint(options.question, "--only", "names of its trainings", " ".join(options.only), hint)
         )
-    print(
-        f"at most {sum(run.steps for run in known.values() if named(run.name, options))} steps in all, before --share"
-    )
+    print(f"{sum(steps_of(run, options) for run in known.values() if named(run.name, options))} steps in all")
+
+
+def steps_of(run: Training, options: argparse.Namespace) -> int:
+    """Return the steps that `--share` leaves of a training."""
+    recipe = run.recipe(options.share)
+    return recipe.epochs * (recipe.epoch_frames or 0) // recipe.batch_size
 
 
 def named(name: str, options: argparse.Namespace) -> bool:
