@@ -38,6 +38,9 @@ def main(args: list[str] | None = None) -> None:
         args: words after `dsrc`; None for those of the process, which ends afterwards.
     """
     if args is None:
+        from sim.machine import single_thread_products
+
+        single_thread_products()
         for stream in (sys.stdout, sys.stderr):
             if hasattr(stream, "reconfigure"):  # a name of a file need not have an encoding
                 stream.reconfigure(errors="backslashreplace")

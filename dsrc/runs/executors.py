@@ -22,7 +22,7 @@ import msgspec
 
 from dsrc.runs.unit import Progress
 from sim.errors import DataError, SettingsError, UserError, complaint, did_you_mean
-from sim.machine import core_count
+from sim.machine import core_count, single_thread_products
 
 Task = Callable[[Any, Progress], Any]
 """Task: (item, progress) -> value; a function of a module."""
@@ -319,6 +319,7 @@ def _serve(pipe: Connection) -> None:
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     threading.Thread(target=_follow_parent, daemon=True).start()
+    single_thread_products()  # before an item brings NumPy
     while True:
         try:
             row, task, item = pipe.recv()

@@ -36,6 +36,7 @@ from dsrc.training.validation import best_device
 from dsrc.training.validation import validate as validate_detector
 from sim.errors import SettingsError, UserError, complaint, did_you_mean
 from sim.files import check_folder, file_sha256
+from sim.machine import keep_memory
 
 LOG = logging.getLogger(__name__)
 _SEEDS = 2**31
@@ -148,6 +149,7 @@ def train(
             validation frames and there are none; the batch cannot be shared among the devices.
         TrainingAlarm: the loss became NaN, or nothing is ever detected.
     """
+    keep_memory()
     settings = recipe.settings(stage)
     taught_by = load_teacher(teacher, settings) if stage == "student" and settings.distils else None
     drives, validation = list_drives(data), None if validate is None else list_drives(validate)

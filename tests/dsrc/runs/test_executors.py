@@ -47,6 +47,10 @@ def process_id(item: int, report: Progress) -> int:
     return os.getpid()
 
 
+def products(item: int, report: Progress) -> str | None:
+    return os.environ.get("OPENBLAS_NUM_THREADS")
+
+
 @pytest.mark.parametrize("executor", [SerialExecutor(), ProcessExecutor(1), ProcessExecutor(3)])
 def test_all_items_are_made_by_any_executor(executor: SerialExecutor | ProcessExecutor) -> None:
     told: list[tuple[int, int, int]] = []
@@ -90,6 +94,12 @@ def test_workers_work_at_the_same_time_and_end_with_their_executor() -> None:
     for worker in workers:
         with pytest.raises(ProcessLookupError):
             os.kill(worker, 0)
+
+
+def test_workers_leave_matrix_products_to_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with ProcessExecutor(1) as pool:
+        assert [outcome.value for outcome in pool.run(products, [0])] == ["1"]
 
 
 def test_wrong_settings_are_named() -> None:
