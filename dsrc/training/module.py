@@ -104,7 +104,7 @@ class DetectionModule(pl.LightningModule):
         if not (self.recipe.bfloat16 and network.training):
             return network
         if network not in self._half:
-            self._half[network] = HalfWeights(network)
+            self._half[network] = HalfWeights(network, flat=network is self.detector)
         return self._half[network]
 
     def _autocast(self) -> torch.autocast:

@@ -1,7 +1,7 @@
 """Plans of the trainings of four questions: rivals, lengths of a training, parts of DSRC, the paper's scale.
 
-A plan is a generator: what it yields is trained before it goes on, so that later trainings may depend on how earlier
-ones ended. It asks by `score`: AP@0.5 + AP@0.7 on the validation drives, clean.
+A plan is a generator, so that later trainings may depend on how earlier ones ended. It asks by `score`, which waits for
+a training that it has yielded: AP@0.5 + AP@0.7 on the validation drives, clean.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -67,19 +67,17 @@ def rivals(score: Score, longest: int = DOUBLED[-1]) -> Iterator[Training]:
     first training have two more, DSRC and its twin four.
     """
     yield from _starts()
-    titles, best = {"attfuse": PLAIN, "dsrc": DSRC} | {name: name for name in RIVALS}, dict[str, Training]()
-    for method in titles:
-        trials = [_length(method, DOUBLED[0], rate=rate) for rate in RATES]
-        yield from trials
-        best[method] = max(trials, key=lambda trial: score(trial.name))
+    titles = {"attfuse": PLAIN, "dsrc": DSRC} | {name: name for name in RIVALS}
+    trials = {method: [_length(method, DOUBLED[0], rate=rate) for rate in RATES] for method in titles}
+    for both in trials.values():
+        yield from both
+    best = {method: max(both, key=lambda trial: score(trial.name)) for method, both in trials.items()}
     growing = list(titles)
     for steps in (steps for steps in DOUBLED[1:] if steps <= longest):
-        for method in tuple(growing):
-            yield (longer := _length(method, steps, rate=best[method].rate))
-            if score(longer.name) > score(best[method].name):
-                best[method] = longer
-            else:
-                growing.remove(method)
+        longer = {method: _length(method, steps, rate=best[method].rate) for method in growing}
+        yield from longer.values()
+        growing = [method for method, one in longer.items() if score(one.name) > score(best[method].name)]
+        best |= {method: longer[method] for method in growing}
     candidates = [name for name in RIVALS if name not in REFERENCES]
     strongest = sorted(candidates, key=lambda name: -score(best[name].name))[:STRONGEST]
     for seed in range(SEEDS):

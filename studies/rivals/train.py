@@ -6,8 +6,8 @@ ends it, and `--kept` is a folder of detector files in half precision, one for e
 back and taken to the next. Beside each is its record, which is enough for a training that nothing starts from and no
 table names: its weights may be deleted. Questions share trainings by a common `--kept`; lines trained in bfloat16 and
 in float32 are not measured together. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the
-plan. Processes share the trainings of all but `rivals`, which follow from each other, by `--only`, with one folder;
-`--measure` then measures the lines of which all trainings are finished.
+plan. Processes with one `--out` share its trainings: each takes the next that no other has taken. All but one of them
+have `--only '*'`, which measures nothing; `--measure` measures the lines of which all trainings are finished.
 
 Usage:
     python -m studies.rivals.train rivals --data data/dsrc-sim-2 --out runs/rivals
@@ -22,7 +22,8 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from fnmatch import fnmatch
 from functools import partial
@@ -38,17 +39,19 @@ from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.sample import make_sample
 from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.options.detection import Device
+from dsrc.runs.lock import locked
 from dsrc.tables.files import json_text
 from dsrc.training.recipes import RECIPES
 from dsrc.training.run_folder import DETECTOR, RESULT
 from dsrc.training.train import train
-from sim.errors import SettingsError, UserError, complaint
+from sim.errors import DataError, SettingsError, UserError, complaint
 from sim.files import write_file
 from studies.look import put_table
 from studies.rivals.questions import DOUBLED, QUESTIONS, Training, pairs, rivals
 from studies.shipped.train import STARTS
 
 _NOT_FINISHED = "{}: this training comes first and is not finished"
+_POLL_S = 5.0
 LEAST_SCORE = 0.05
 """Score from which boxes count."""
 HEAD = (
@@ -80,8 +83,6 @@ def main() -> None:
     mode.add_argument("--measure", action="store_true", help="train nothing, measure the lines that are finished")
     mode.add_argument("--list", action="store_true", help="print the plan and train nothing")
     options = parser.parse_args()
-    if options.only and options.question == "rivals":
-        parser.error("rivals: each training follows from how others ended; leave out --only")
     if options.longest and options.question != "rivals":
         parser.error(f"--longest: expected with rivals alone, found with {options.question}")
     if not 0.0 < options.share <= 1.0:
@@ -106,11 +107,15 @@ def main() -> None:
 
 
 def finished(options: argparse.Namespace) -> Iterator[Training]:
-    """Finish the trainings of a question one after the other; yield those that are measured."""
+    """Finish the trainings of a question, as far as no other process does; yield those that are measured."""
     known: dict[str, Training] = {}
 
     def ranked(name: str) -> float:
-        return float(known[name].steps) if options.list else sum(validated(name, options))
+        if options.list:
+            return float(known[name].steps)
+        if not options.measure:
+            finish(known[name], known, options)
+        return sum(validated(name, options))
 
     plan = partial(rivals, longest=options.longest) if options.longest else QUESTIONS[options.question]
     for one in plan(ranked):
@@ -126,17 +131,20 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
         if not options.list:
             check_length(run, options)
         if not (options.list or options.measure):
-            begun = time.monotonic()
-            finish(run, options)
-            print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
-        if run.title:
-            yield run
-    if options.only and not any(named(name, options) for name in known):
+            if not claim(run, known, options):
+                print(f"{run.name}: another process trains it", flush=True)
+    chosen = [run for run in known.values() if named(run.name, options)]
+    if options.only and not chosen:
         hint = "; --list prints them"
         raise SettingsError(
             complaint(options.question, "--only", "names of its trainings", " ".join(options.only), hint)
         )
-    print(f"{sum(steps_of(run, options) for run in known.values() if named(run.name, options))} steps in all")
+    for run in chosen:
+        if not (options.list or options.measure):
+            finish(run, known, options)
+        if run.title:
+            yield run
+    print(f"{sum(steps_of(run, options) for run in chosen)} steps in all")
 
 
 def steps_of(run: Training, options: argparse.Namespace) -> int:
@@ -150,10 +158,26 @@ def named(name: str, options: argparse.Namespace) -> bool:
     return not options.only or any(fnmatch(name, pattern) for pattern in options.only)
 
 
-def finish(run: Training, options: argparse.Namespace) -> None:
-    """Train a run that is not finished, and keep its detector and record."""
-    if done(run.name, options) is None and (run.title or record_of(run.name, options) is None):
-        start, teacher = (detector_of(name, options) if name else None for name in (run.start, run.teacher))
+def finish(run: Training, known: Mapping[str, Training], options: argparse.Namespace) -> None:
+    """Train a run, or wait for the process that does."""
+    while not claim(run, known, options):
+        time.sleep(_POLL_S)
+
+
+def claim(run: Training, known: Mapping[str, Training], options: argparse.Namespace) -> bool:
+    """Train a run that is not finished, and keep its detector and record; return False where another process does."""
+    if done(run.name, options) or (not run.title and record_of(run.name, options)):
+        return True
+    for name in filter(None, (run.start, run.teacher)):
+        if name in known and named(name, options):
+            finish(known[name], known, options)
+    start, teacher = (detector_of(name, options) if name else None for name in (run.start, run.teacher))
+    with ExitStack() as claims:
+        try:
+            claims.enter_context(locked(options.out / "claims" / run.name, what="training"))
+        except DataError:
+            return False
+        begun = time.monotonic()
         made = train(
             run.recipe(options.share, options.workers),
             options.data / "train",
@@ -171,6 +195,8 @@ def finish(run: Training, options: argparse.Namespace) -> None:
             part.replace(options.kept / f"{run.name}.pt")
             record = record_of(run.name, options) or {}
             write_file(options.kept / f"{run.name}.json", json_text(record))
+        print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
+    return True
 
 
 def done(name: str, options: argparse.Namespace) -> Path | None:

@@ -39,8 +39,10 @@ class Decoder(nn.ModuleList):
 
     def forward(self, stages: Sequence[Tensor]) -> Tensor:
         """Concatenate the stages at one resolution, (N, sum of channels, h, w)."""
-        # Measured on CPUs: in channels-last order these layers are 40 % slower. On a GPU it is the faster one.
-        ordered = (stage if stage.is_cuda else stage.contiguous() for stage in stages)
+        # Measured on CPUs: in channels-last order these layers are 40 % slower in single precision, and faster in
+        # bfloat16, as on a GPU.
+        kept = stages[0].is_cuda or torch.is_autocast_enabled("cpu")
+        ordered = (stage if kept else stage.contiguous() for stage in stages)
         return torch.cat([up(stage) for up, stage in zip(self, ordered, strict=True)], dim=1)
 
 

@@ -6,6 +6,7 @@ mean point from its centre. (The released code's target has a single 4 m bin; `r
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -65,6 +66,8 @@ class Reconstruction(nn.Module):
         """
         count_batch(self)
         batch, _, height, width = fused.shape
+        if not fused.is_cuda:
+            fused = fused.contiguous()  # the order of its volume on CPUs
         column = self.expand(fused).reshape(batch, -1, self.bins // 2, height, width)
         if column.is_cuda:
             # In the other order, each channel's batch norm has one block of threads alone.
@@ -110,9 +113,25 @@ def windowed(fused: Tensor, scene: SceneVoxels, share: float) -> tuple[Tensor, t
     b, z, y, x = scene.voxel.unbind(1)
     y, x = y - 2 * top, x - 2 * left
     near_y, near_x = y.clamp(0, 2 * height - 1), x.clamp(0, 2 * width - 1)
-    cut = fused[..., top : top + height, left : left + width]
+    cut = _Cut.apply(fused, top, left, height, width)
     inside = (near_y == y) & (near_x == x)
     return cut, (b, z, near_y, near_x), inside if scene.real is None else inside & scene.real
+
+
+class _Cut(torch.autograd.Function):
+    """Window of a map whose gradient keeps the map's order in memory: sums with one of another order are slow."""
+
+    @staticmethod
+    def forward(ctx: Any, whole: Tensor, top: int, left: int, height: int, width: int) -> Tensor:
+        ctx.shape, ctx.stride = whole.shape, whole.stride()
+        ctx.window = ..., slice(top, top + height), slice(left, left + width)
+        return whole[ctx.window].clone()
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        whole = gradients[0].new_empty_strided(ctx.shape, ctx.stride).zero_()
+        whole[ctx.window] = gradients[0]
+        return whole, None, None, None, None
 
 
 def reconstruction_losses(
