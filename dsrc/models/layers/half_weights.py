@@ -8,6 +8,7 @@ from torch.func import functional_call
 
 from dsrc.models.layers.conv_norm import Conv
 
+
 class HalfWeights:
     """Weights of a module's convolutions in bfloat16 whose gradients reach the single-precision ones.
 

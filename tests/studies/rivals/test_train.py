@@ -1,6 +1,9 @@
 """Trainings of the questions: their order, one factor each, and a tiny run that a sitting cuts."""
 
 import json
+import re
+import subprocess
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -135,6 +138,17 @@ def test_processes_share_trainings_and_lines_that_are_not_finished_are_not_measu
     study("rivals.train", "scale", *small, *folder, "--measure")
     table = (tmp_path / "runs/benchmark/tables.md").read_text()
     assert PLAIN in table and "where2comm" not in table and DSRC not in table
+
+
+@pytest.mark.slow
+def test_two_processes_train_each_run_once(tmp_path: Path) -> None:
+    words = ("scale", *tiny(tmp_path), "--out", str(tmp_path / "runs"), "--only", "*")
+    command = [sys.executable, "-m", "studies.rivals.train", *words]
+    processes = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    told = [process.communicate(timeout=600)[0] for process in processes]
+    assert [process.returncode for process in processes] == [0, 0]
+    trained = [re.findall(r"^(\S+): \d+ s$", text, re.MULTILINE) for text in told]
+    assert sorted(trained[0] + trained[1]) == sorted(run.name for run in plan("scale")) and all(trained)
 
 
 def test_records_without_weights_choose_the_rate(tmp_path: Path) -> None:
