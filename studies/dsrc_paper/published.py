@@ -1,4 +1,4 @@
-"""Published numbers: the paper's Tables 1 to 4 on OPV2V, shown below ours, and what OPV2V's authors have for its rivals.
+"""Published numbers: the paper's Tables 1 to 4 on OPV2V, shown below ours, and its rivals by OPV2V's authors.
 
 Source: DSRC, arXiv 2412.10739. AP at IoU 0.5 / 0.7 in percent, detections sorted inside their frames, as its authors
 say in issue 2 of their repository. mCE is computed here from its numbers by its equation 10, and mAP is the mean over
@@ -46,7 +46,7 @@ _BY_OTHERS = {
     **{"No Collaboration": 60.2, "Late Fusion": 78.1, "F-Cooper": 79.0, "V2VNet": 82.2, "CoAlign": 83.3},
     "CoBEVT": 86.1,
 }
-"""AP at IoU 0.7 in percent, clean, of OPV2V's authors: arXiv 2109.07644, and the table of their repository, OpenCOOD."""
+"""Clean AP at IoU 0.7 in percent by OPV2V's authors: arXiv 2109.07644 and the table of their repository, OpenCOOD."""
 _BY_OTHERS_NOTE = (
     "Last column: OPV2V's default towns, measured by its authors (arXiv 2109.07644, README of OpenCOOD), before "
     "compression; CoAlign without its pose graph. There AttFuse has 81.5 and early "
@@ -72,8 +72,9 @@ def published_tables() -> dict[str, Table]:
     titles = {1: "Clean and corrupted frames", 2: "Parts of DSRC", 3: "DSRC around the maximum", 4: "A single vehicle"}
     by_others = Column("Clean at 0.7, OPV2V's authors", digits=1)
     named = {number: f"The paper's Table {number}, OPV2V. {title}" for number, title in titles.items()}
+    note = f"{_NOTE} {_TWICE} {_BY_OTHERS_NOTE}"
     return {
-        "table_1": Table("table_1", named[1], "Method", (*corrupted, by_others), one, f"{_NOTE} {_TWICE} {_BY_OTHERS_NOTE}"),
+        "table_1": Table("table_1", named[1], "Method", (*corrupted, by_others), one, note),
         "table_2": Table("table_2", named[2], "Parts", (ap_column("Mean with clean", digits=2),), two, _NOTE),
         "table_3": _transposed("table_3", named[3], _TABLE_3),
         "table_4": _transposed("table_4", named[4], _TABLE_4),
