@@ -1,7 +1,8 @@
 """Executors: run work items in this process, in processes of this machine or on a Ray cluster.
 
 A task is a function of a module (it travels by name), an item a value that can be pickled. Items run in any order, and
-results come as they are ready. A user's error ends its item only. A worker that dies is replaced and its item run
+results come as they are ready. Items with the same attribute `group` have parts in common that a process keeps in
+memory: a worker goes on with the group of its last item. A user's error ends its item only. A worker that dies is replaced and its item run
 again, a bounded number of times: tasks are written so that a second try resumes the first.
 """
 
@@ -11,7 +12,7 @@ import signal
 import threading
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -116,8 +117,9 @@ class ProcessExecutor:
                 self._workers.append(_Worker())
             for worker in self._workers:
                 if worker.row is None and waiting:
-                    first = waiting.popleft()
-                    worker.give(first, task, items[first])
+                    row = _next(waiting, items, worker.group, {other.group for other in self._workers})
+                    waiting.remove(row)
+                    worker.give(row, task, items[row])
             ready = wait([worker.pipe for worker in self._workers if worker.row is not None])
             for worker in [worker for worker in self._workers if worker.pipe in ready]:
                 row = -1 if worker.row is None else worker.row
@@ -251,6 +253,18 @@ SERIAL = Pool(workers=1)
 """This process alone."""
 
 
+def _next(waiting: deque[int], items: Sequence[object], own: Hashable, all_held: set[Hashable]) -> int:
+    """Return the row for a worker: of its own group, else the first of a group that no worker holds, else the first."""
+    groups = {row: _group(items[row]) for row in waiting}
+    same = (row for row, group in groups.items() if group is not None and group == own)
+    free = (row for row, group in groups.items() if group is None or group not in all_held)
+    return next(same, next(free, waiting[0]))
+
+
+def _group(item: object) -> Hashable:
+    return getattr(item, "group", None)
+
+
 def _died(times: int) -> DataError:
     return DataError(f"its worker process has died {times} times, of memory perhaps; start again to resume")
 
@@ -273,19 +287,20 @@ def _ray_task(row: int, task: Task, item: object, folder: str) -> TaskResult:
 
 
 class _Worker:
-    """Worker process and the row of its item."""
+    """Worker process, the row of its item, and the group of its last one."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.row: int | None = None
+        self.group: Hashable = None
         self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
         with _without_interrupts():
             self._process.start()
         theirs.close()
 
     def give(self, row: int, task: Task, item: object) -> None:
-        self.row = row
+        self.row, self.group = row, _group(item)
         try:
             self.pipe.send((row, task, item))
         except ConnectionError:

@@ -8,7 +8,7 @@ import shapely
 
 from sim.encounters import network_file, with_encounter
 from sim.roads.networks import read_network
-from sim.scenario import Scenario
+from sim.scenario import AgentRule, RoadsideUnit, Scenario
 from sim.traffic.parking import parked_cars
 from sim.world.highway import highway_streets
 from sim.world.roads.kerbs import kerbs_of, stones
@@ -25,7 +25,7 @@ _KEPT = 2
 
 
 def streets_of(scenario: Scenario, seed: int) -> Streets:
-    """Return the streets of a scenario on their ground; in an uneven world, equal scenarios and seeds share them.
+    """Return the streets of a scenario on their ground; in an uneven world, drives that differ in sensors alone share it.
 
     Args:
         seed: root seed of parked cars and of the relief.
@@ -35,7 +35,9 @@ def streets_of(scenario: Scenario, seed: int) -> Streets:
     """
     if not scenario.uneven:
         return _level(scenario, seed)
-    return _uneven(msgspec.json.encode(with_encounter(scenario, seed)), seed)
+    whole = with_encounter(scenario, seed)
+    units = tuple(RoadsideUnit(xyz_m=unit.xyz_m) for unit in whole.agents.roadside)  # no car parks where one stands
+    return _uneven(msgspec.json.encode(msgspec.structs.replace(whole, agents=AgentRule(roadside=units))), seed)
 
 
 @lru_cache(maxsize=_KEPT)

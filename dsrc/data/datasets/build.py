@@ -46,6 +46,11 @@ class BuildJob:
     folder: Path
     threads: int | None = None
 
+    @property
+    def group(self) -> tuple[str, int]:
+        """Scenario and seed: drives that differ in their sensors stand on one ground."""
+        return self.item.spec.scenario.name, self.item.spec.seed
+
 
 @takes_fields(BuildOptions)
 def generate_dataset(options: BuildOptions, pool: Pool = SERIAL, progress: Progress | None = None) -> Path:

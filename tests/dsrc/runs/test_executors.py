@@ -4,6 +4,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -44,6 +45,16 @@ def dies(item: int, report: Progress) -> int:
 
 def process_id(item: int, report: Progress) -> int:
     time.sleep(0.3)
+    return os.getpid()
+
+
+class Grouped(NamedTuple):
+    group: str
+    wait_s: float
+
+
+def process_of(item: Grouped, report: Progress) -> int:
+    time.sleep(item.wait_s)
     return os.getpid()
 
 
@@ -94,6 +105,14 @@ def test_workers_work_at_the_same_time_and_end_with_their_executor() -> None:
     for worker in workers:
         with pytest.raises(ProcessLookupError):
             os.kill(worker, 0)
+
+
+def test_a_worker_goes_on_with_its_group() -> None:
+    items = [Grouped(name, 0.05 if name == "a" else 0.4) for name in "aabbacb"]
+    with ProcessExecutor(2) as pool:
+        process = {outcome.row: outcome.value for outcome in pool.run(process_of, items)}
+    assert process[0] == process[1] == process[4] != process[2]
+    assert process[5] == process[0] and process[3] == process[2]
 
 
 def test_workers_leave_matrix_products_to_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:

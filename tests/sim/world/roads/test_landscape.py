@@ -8,7 +8,7 @@ import trimesh
 
 from sim.catalog.load import load_scenario
 from sim.mesh.materials import material_index
-from sim.scenario import Scenario
+from sim.scenario import RoadsideUnit, Scenario
 from sim.world.build import build_world
 from sim.world.buildings.houses import guard_rails
 from sim.world.ground import streets_of
@@ -176,6 +176,14 @@ def test_paint_kerbs_and_rails_keep_to_the_ground_between_their_corners(name: st
         above = middle[:, 2] - height(middle[:, :2])
         assert least_m - 1e-6 < above.min() and above.max() < most_m
         assert np.linalg.norm(chosen - np.roll(chosen, 1, axis=1), axis=2).max() < 6.0
+
+
+def test_drives_that_differ_in_sensors_alone_stand_on_one_ground(town: Streets) -> None:
+    own = scenario()
+    agents = msgspec.structs.replace(own.agents, lidar="hdl-64e-kitti", vehicles=own.agents.vehicles + 1)
+    assert streets_of(msgspec.structs.replace(own, agents=agents), 1) is streets_of(own, 1)
+    beside = msgspec.structs.replace(agents, roadside=(RoadsideUnit(xyz_m=(0.0, 0.0, 5.0)),))
+    assert streets_of(msgspec.structs.replace(own, agents=beside), 1) is not streets_of(own, 1)
 
 
 @pytest.mark.slow
