@@ -25,7 +25,7 @@ _KEPT = 2
 
 
 def streets_of(scenario: Scenario, seed: int) -> Streets:
-    """Return the streets of a scenario on their ground; in an uneven world, drives that differ in sensors alone share it.
+    """Return the streets of a scenario on their ground; in an uneven world, other sensors stand on the same one.
 
     Args:
         seed: root seed of parked cars and of the relief.
