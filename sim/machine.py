@@ -28,10 +28,10 @@ def keep_memory(limit: int = 1 << 30) -> None:
 
 
 def single_thread_products() -> None:
-    """Leave matrix products of NumPy to one thread, in processes that start from now on, and here before its import.
+    """Leave matrix products of NumPy to one thread; call it before NumPy is imported, processes started later follow.
 
     Those of a cloud's points are too small to be shared, and the other threads of OpenBLAS wait for them by spinning:
-    a sample of a training takes twice the CPU time. What the user has set stays.
+    a sample of a training takes twice the CPU time. `OPENBLAS_NUM_THREADS` stays where the user has set it.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

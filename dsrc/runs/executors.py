@@ -2,7 +2,7 @@
 
 A task is a function of a module (it travels by name), an item a value that can be pickled. Items run in any order, and
 results come as they are ready. Items with the same attribute `group` have parts in common that a process keeps in
-memory: a worker goes on with the group of its last item. A user's error ends its item only. A worker that dies is
+memory: a process of this machine goes on with the group of its last item. A user's error ends its item only. A worker that dies is
 replaced and its item run again, a bounded number of times: tasks are written so that a second try resumes the first.
 """
 
@@ -255,10 +255,12 @@ SERIAL = Pool(workers=1)
 
 def _next(waiting: deque[int], items: Sequence[object], own: Hashable, all_held: set[Hashable]) -> int:
     """Return the row for a worker: of its own group, else the first of a group that no worker holds, else the first."""
-    groups = {row: _group(items[row]) for row in waiting}
-    same = (row for row, group in groups.items() if group is not None and group == own)
-    free = (row for row, group in groups.items() if group is None or group not in all_held)
-    return next(same, next(free, waiting[0]))
+
+    def rank(row: int) -> int:
+        group = _group(items[row])
+        return 1 if group is None else 0 if group == own else 2 if group in all_held else 1
+
+    return min(waiting, key=rank)
 
 
 def _group(item: object) -> Hashable:
@@ -295,7 +297,7 @@ class _Worker:
         self.row: int | None = None
         self.group: Hashable = None
         self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        with _without_interrupts():
+        with _without_interrupts(), _single_thread_products():
             self._process.start()
         theirs.close()
 
@@ -328,13 +330,24 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@contextmanager
+def _single_thread_products() -> Iterator[None]:
+    """Leave matrix products to one thread in processes that start within the block, and in no others."""
+    told = "OPENBLAS_NUM_THREADS" in os.environ
+    single_thread_products()
+    try:
+        yield
+    finally:
+        if not told:
+            del os.environ["OPENBLAS_NUM_THREADS"]
+
+
 def _serve(pipe: Connection) -> None:
     """Run items until the pipe closes; interrupts are left to the parent, whose end is the worker's too."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     threading.Thread(target=_follow_parent, daemon=True).start()
-    single_thread_products()  # before an item brings NumPy
     while True:
         try:
             row, task, item = pipe.recv()

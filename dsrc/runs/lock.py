@@ -18,6 +18,10 @@ except ImportError:  # Windows has no such locks: there the user must not run tw
 LOCK = ".lock"
 
 
+class BusyError(DataError):
+    """Another process holds the lock of a folder."""
+
+
 @contextmanager
 def locked(folder: Path, patience_s: float = 0.0, what: str = "drive") -> Iterator[None]:
     """Lock a folder for this process; the system releases the lock when the process ends in any way.
@@ -29,7 +33,8 @@ def locked(folder: Path, patience_s: float = 0.0, what: str = "drive") -> Iterat
 
     Raises:
         OutputError: it holds another program's files; a folder of datasets may, beside its splits.
-        DataError: another process holds the lock, or the folder cannot be made.
+        BusyError: another process holds the lock.
+        DataError: the folder cannot be made.
     """
     if what != "dataset":
         check_folder(folder)
@@ -39,12 +44,12 @@ def locked(folder: Path, patience_s: float = 0.0, what: str = "drive") -> Iterat
             if fcntl is not None:
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except OSError:
+                except BlockingIOError:
                     if time.monotonic() < deadline:
                         time.sleep(0.05)
                         continue
                     file.seek(0)
-                    raise DataError(f"{folder}: process {file.read().strip()} is writing this {what}") from None
+                    raise BusyError(f"{folder}: process {file.read().strip()} is writing this {what}") from None
             # A process that has just ended may have removed the file between our opening and locking it.
             if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 continue

@@ -25,7 +25,7 @@ _KEPT = 2
 
 
 def streets_of(scenario: Scenario, seed: int) -> Streets:
-    """Return the streets of a scenario on their ground; in an uneven world, other sensors stand on the same one.
+    """Return the streets of a scenario on their ground; scenarios that differ in sensors alone share it if uneven.
 
     Args:
         seed: root seed of parked cars and of the relief.

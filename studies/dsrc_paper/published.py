@@ -1,4 +1,4 @@
-"""Published numbers: the paper's Tables 1 to 4 on OPV2V, shown below ours, and its rivals by OPV2V's authors.
+"""Published numbers: the paper's Tables 1 to 4 on OPV2V, shown below ours, and its rivals elsewhere.
 
 Source: DSRC, arXiv 2412.10739. AP at IoU 0.5 / 0.7 in percent, detections sorted inside their frames, as its authors
 say in issue 2 of their repository. mCE is computed here from its numbers by its equation 10, and mAP is the mean over
@@ -43,14 +43,18 @@ No collaboration + DSRC | 85.24/71.73 68.31/54.68 71.66/49.49 60.77/52.98 64.41/
 """
 
 _BY_OTHERS = {
-    **{"No Collaboration": 60.2, "Late Fusion": 78.1, "F-Cooper": 79.0, "V2VNet": 82.2, "CoAlign": 83.3},
+    "No Collaboration": 60.2,
+    "Late Fusion": 78.1,
+    "F-Cooper": 79.0,
+    "V2VNet": 82.2,
+    "CoAlign": 83.3,
     "CoBEVT": 86.1,
 }
-"""Clean AP at IoU 0.7 in percent by OPV2V's authors: arXiv 2109.07644 and the table of their repository, OpenCOOD."""
+"""Clean AP at IoU 0.7 in percent on OPV2V's default towns, see `_BY_OTHERS_NOTE`."""
 _BY_OTHERS_NOTE = (
-    "Last column: OPV2V's default towns, measured by its authors (arXiv 2109.07644, README of OpenCOOD), before "
-    "compression; CoAlign without its pose graph. There AttFuse has 81.5 and early "
-    "fusion 80.0. V2X-ViT, ERMVP, MRCNet and Where2comm are not in that table."
+    "Last column: AP at 0.7 on OPV2V's default towns, PointPillars, before compression. No collaboration is of OPV2V, "
+    "arXiv 2109.07644, the others of the README of OpenCOOD, where AttFuse has 81.5 and early fusion 80.0; CoAlign is its "
+    "fusion alone. V2X-ViT, ERMVP, MRCNet and Where2comm are not in either."
 )
 
 _NOTE = "As printed, mCE and mAP computed from it. Other data, other training: see what moves alike, not the numbers."
@@ -70,7 +74,7 @@ def published_tables() -> dict[str, Table]:
     )
     two = tuple(TableRow(name, tuple(cells)) for name, cells in _read(_TABLE_2).items())
     titles = {1: "Clean and corrupted frames", 2: "Parts of DSRC", 3: "DSRC around the maximum", 4: "A single vehicle"}
-    by_others = Column("Clean at 0.7, OPV2V's authors", digits=1)
+    by_others = Column("Clean at 0.7, elsewhere", digits=1)
     named = {number: f"The paper's Table {number}, OPV2V. {title}" for number, title in titles.items()}
     note = f"{_NOTE} {_TWICE} {_BY_OTHERS_NOTE}"
     return {

@@ -6,8 +6,8 @@ ends it, and `--kept` is a folder of detector files in half precision, one for e
 back and taken to the next. Beside each is its record, which is enough for a training that nothing starts from and no
 table names: its weights may be deleted. Questions share trainings by a common `--kept`; lines trained in bfloat16 and
 in float32 are not measured together. `--share 0.01` tries everything on a hundredth of the steps; `--list` prints the
-plan. Processes with one `--out` share its trainings: each takes the next that no other has taken. All but one of them
-have `--only '*'`, which measures nothing; `--measure` measures the lines of which all trainings are finished.
+plan. Processes with one `--out` share its trainings: each takes the next that is free. All but one of them have
+`--only '*'`, which measures nothing; `--measure` measures the lines of which all trainings are finished.
 
 Usage:
     python -m studies.rivals.train rivals --data data/dsrc-sim-2 --out runs/rivals
@@ -23,7 +23,6 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import replace
 from fnmatch import fnmatch
 from functools import partial
@@ -39,12 +38,12 @@ from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.sample import make_sample
 from dsrc.models.storage.checkpoint import load_detector, read_meta
 from dsrc.options.detection import Device
-from dsrc.runs.lock import locked
+from dsrc.runs.lock import BusyError, locked
 from dsrc.tables.files import json_text
 from dsrc.training.recipes import RECIPES
 from dsrc.training.run_folder import DETECTOR, RESULT
 from dsrc.training.train import train
-from sim.errors import DataError, SettingsError, UserError, complaint
+from sim.errors import SettingsError, UserError, complaint
 from sim.files import write_file
 from studies.look import put_table
 from studies.rivals.questions import DOUBLED, QUESTIONS, Training, pairs, rivals
@@ -113,13 +112,13 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
     def ranked(name: str) -> float:
         if options.list:
             return float(known[name].steps)
-        if not options.measure:
+        if not options.measure and named(name, options):
             finish(known[name], known, options)
         return sum(validated(name, options))
 
     plan = partial(rivals, longest=options.longest) if options.longest else QUESTIONS[options.question]
     for one in plan(ranked):
-        told = one.name in known
+        told = known.pop(one.name, None)  # the run that is measured stands last, in the order of the tables
         run = known[one.name] = replace(one, base=options.recipe or one.base)
         if not named(run.name, options):
             continue
@@ -132,7 +131,7 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
             check_length(run, options)
         if not (options.list or options.measure):
             if not claim(run, known, options):
-                print(f"{run.name}: another process trains it", flush=True)
+                print(f"{run.name}: another process trains it, or what it starts from", flush=True)
     chosen = [run for run in known.values() if named(run.name, options)]
     if options.only and not chosen:
         hint = "; --list prints them"
@@ -144,7 +143,8 @@ def finished(options: argparse.Namespace) -> Iterator[Training]:
             finish(run, known, options)
         if run.title:
             yield run
-    print(f"{sum(steps_of(run, options) for run in chosen)} steps in all")
+    most = "at most " if options.list else ""
+    print(f"{most}{sum(steps_of(run, options) for run in chosen)} steps in all")
 
 
 def steps_of(run: Training, options: argparse.Namespace) -> int:
@@ -159,44 +159,56 @@ def named(name: str, options: argparse.Namespace) -> bool:
 
 
 def finish(run: Training, known: Mapping[str, Training], options: argparse.Namespace) -> None:
-    """Train a run, or wait for the process that does."""
+    """Train a run and what it starts from, or wait for the process that does."""
+    for name in filter(None, (run.start, run.teacher)):
+        if name in known and named(name, options):
+            finish(known[name], known, options)
     while not claim(run, known, options):
         time.sleep(_POLL_S)
 
 
 def claim(run: Training, known: Mapping[str, Training], options: argparse.Namespace) -> bool:
-    """Train a run that is not finished, and keep its detector and record; return False where another process does."""
-    if done(run.name, options) or (not run.title and record_of(run.name, options)):
+    """Train a run that is not finished, and keep its detector and record; return False where it has to wait.
+
+    It waits for another process that trains it, or what it starts from.
+    """
+    if settled(run, options):
         return True
     for name in filter(None, (run.start, run.teacher)):
-        if name in known and named(name, options):
-            finish(known[name], known, options)
-    start, teacher = (detector_of(name, options) if name else None for name in (run.start, run.teacher))
-    with ExitStack() as claims:
-        try:
-            claims.enter_context(locked(options.out / "claims" / run.name, what="training"))
-        except DataError:
+        if name in known and named(name, options) and done(name, options) is None:
             return False
-        begun = time.monotonic()
-        made = train(
-            run.recipe(options.share, options.workers),
-            options.data / "train",
-            options.out / run.name,
-            run.stage,
-            teacher=teacher,
-            validate=options.data / "validation",
-            seed=run.seed,
-            init=start,
-        )
-        if options.kept:
-            options.kept.mkdir(parents=True, exist_ok=True)
-            part = options.kept / f"{run.name}.part"
-            shutil.copyfile(made, part)
-            part.replace(options.kept / f"{run.name}.pt")
-            record = record_of(run.name, options) or {}
-            write_file(options.kept / f"{run.name}.json", json_text(record))
-        print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
+    start, teacher = (detector_of(name, options) if name else None for name in (run.start, run.teacher))
+    try:
+        with locked(options.out / "claims" / run.name, what="training"):
+            if settled(run, options):  # by another process, since
+                return True
+            begun = time.monotonic()
+            made = train(
+                run.recipe(options.share, options.workers),
+                options.data / "train",
+                options.out / run.name,
+                run.stage,
+                teacher=teacher,
+                validate=options.data / "validation",
+                seed=run.seed,
+                init=start,
+            )
+            if options.kept:
+                options.kept.mkdir(parents=True, exist_ok=True)
+                part = options.kept / f"{run.name}.part"
+                shutil.copyfile(made, part)
+                part.replace(options.kept / f"{run.name}.pt")
+                record = record_of(run.name, options) or {}
+                write_file(options.kept / f"{run.name}.json", json_text(record))
+            print(f"{run.name}: {time.monotonic() - begun:.0f} s", flush=True)
+    except BusyError:
+        return False
     return True
+
+
+def settled(run: Training, options: argparse.Namespace) -> bool:
+    """Return whether a run is finished: its detector is there, or of one that is not measured its record."""
+    return done(run.name, options) is not None or (not run.title and record_of(run.name, options) is not None)
 
 
 def done(name: str, options: argparse.Namespace) -> Path | None:

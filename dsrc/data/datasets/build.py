@@ -48,7 +48,7 @@ class BuildJob:
 
     @property
     def group(self) -> tuple[str, int]:
-        """Scenario and seed: drives that differ in their sensors stand on one ground."""
+        """Scenario and seed: drives that differ in their sensors alone share their ground."""
         return self.item.spec.scenario.name, self.item.spec.seed
 
 

@@ -19,8 +19,8 @@ class HalfWeights:
         """Choose the weights.
 
         Args:
-            flat: the module's maps are flat, (N, C, H, W), and get the order channels last by their weights. Measured
-                on a CPU with AMX: a step of a plain student takes 30 % less time.
+            flat: the module's maps are (N, C, H, W), and on a CPU its weights make them channels-last: faster there,
+                see `benchmarks`, and not measured on GPUs.
         """
         self.module = module
         self.weights = {
@@ -34,7 +34,9 @@ class HalfWeights:
             torch.empty_like(
                 weight,
                 dtype=torch.bfloat16,
-                memory_format=torch.channels_last if flat and weight.ndim == 4 else torch.preserve_format,
+                memory_format=torch.channels_last
+                if flat and weight.ndim == 4 and not weight.is_cuda
+                else torch.preserve_format,
             )
             for weight in self.weights.values()
         ]

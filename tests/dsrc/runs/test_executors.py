@@ -119,6 +119,7 @@ def test_workers_leave_matrix_products_to_one_thread(monkeypatch: pytest.MonkeyP
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     with ProcessExecutor(1) as pool:
         assert [outcome.value for outcome in pool.run(products, [0])] == ["1"]
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
 
 
 def test_wrong_settings_are_named() -> None:

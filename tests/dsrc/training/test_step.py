@@ -160,12 +160,15 @@ def test_the_error_of_predictions_and_its_gradient_are_those_of_its_parts() -> N
     assert torch.autograd.gradcheck(error, (cls.requires_grad_(), reg.requires_grad_()))
 
 
-def test_half_weights_have_single_gradients() -> None:
+@pytest.mark.parametrize("flat", [False, True])
+def test_half_weights_have_single_gradients(flat: bool) -> None:
     torch.manual_seed(4)
-    module, x = nn.Sequential(nn.Conv2d(2, 3, 1), nn.Conv2d(3, 2, 1)), torch.randn(1, 2, 4, 4)
+    module, x = nn.Sequential(nn.Conv2d(2, 3, 3), nn.Conv2d(3, 2, 3)), torch.randn(1, 2, 8, 8)
     with torch.autocast("cpu", torch.bfloat16):
         expected = torch.autograd.grad(module(x).float().square().sum(), list(module.parameters()))
-        HalfWeights(module)(x).float().square().sum().backward()
+        out = HalfWeights(module, flat)(x)
+        assert out.is_contiguous(memory_format=torch.channels_last) == flat
+        out.float().square().sum().backward()
     for parameter, gradient in zip(module.parameters(), expected, strict=True):
         assert parameter.grad is not None
         assert parameter.grad.dtype == torch.float32

@@ -102,6 +102,20 @@ def test_what_is_reconstructed_is_the_scene_of_all_agents_also_for_one_that_hear
     torch.testing.assert_close(scenes[0].voxel, scenes[1].voxel)
 
 
+@pytest.mark.parametrize("order", [torch.contiguous_format, torch.channels_last])
+def test_a_windows_gradient_is_that_of_a_slice_in_the_maps_own_order(order: torch.memory_format) -> None:
+    scene = SceneVoxels(torch.zeros((1, 4), dtype=torch.long), torch.zeros((1, 3)), 1)
+    whole = torch.zeros(1, 3, 8, 16).contiguous(memory_format=order).requires_grad_()
+    cut, *_ = windowed(whole, scene, 0.5)
+    weight = torch.randn(cut.shape)
+    (gradient,) = torch.autograd.grad((cut * weight).sum(), whole)
+    assert gradient.stride() == whole.stride()
+    assert gradient.count_nonzero() == weight.numel() and gradient.sum() == pytest.approx(float(weight.sum()), abs=1e-5)
+    rows, columns = (gradient[0, 0].any(axis).nonzero()[:, 0] for axis in (1, 0))
+    inside = gradient[..., rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    torch.testing.assert_close(inside, weight)
+
+
 def test_a_window_of_the_scene_holds_the_voxels_above_its_cells() -> None:
     marked = torch.arange(8 * 16, dtype=torch.float32).view(1, 1, 8, 16)
     every = torch.stack(torch.meshgrid(*(torch.arange(n) for n in (1, 4, 16, 32)), indexing="ij"), -1).view(-1, 4)

@@ -4,13 +4,15 @@ import json
 import re
 import subprocess
 import sys
+from argparse import Namespace
 from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
 
 from dsrc.data.formats.opv2v.reader import write_frame
-from sim.errors import SettingsError
+from dsrc.runs.lock import locked
+from sim.errors import DataError, SettingsError
 from studies.rivals import train
 from studies.rivals.questions import CHANGES, DSRC, PLAIN, QUESTIONS, RIVALS, STRONGEST, Training, pairs, parts, rivals
 from studies.shipped.train import STARTS
@@ -148,7 +150,28 @@ def test_two_processes_train_each_run_once(tmp_path: Path) -> None:
     told = [process.communicate(timeout=600)[0] for process in processes]
     assert [process.returncode for process in processes] == [0, 0]
     trained = [re.findall(r"^(\S+): \d+ s$", text, re.MULTILINE) for text in told]
-    assert sorted(trained[0] + trained[1]) == sorted(run.name for run in plan("scale")) and all(trained)
+    assert sorted(trained[0] + trained[1]) == sorted(run.name for run in plan("scale"))
+
+
+def test_what_another_process_trains_is_left_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(train, "train", lambda recipe, data, out, *more, **named: made.append(out.name))
+    options = Namespace(out=tmp_path, kept=None, only=["*"], share=0.01, workers=0, data=tmp_path)
+    known = {run.name: run for run in plan("scale")}
+    with locked(tmp_path / "claims/teacher-1", what="training"):
+        assert not train.claim(known["teacher-1"], known, options) and not made
+    assert not train.claim(known["attfuse-1"], known, options) and not made  # its start is not there
+    assert train.claim(known["teacher-1"], known, options) and made == ["teacher-1"]
+    (tmp_path / "folder").touch()
+    with pytest.raises(DataError, match="cannot write in this folder"):
+        train.claim(known["teacher-1"], known, Namespace(**vars(options) | {"out": tmp_path / "folder"}))
+
+
+def test_tables_have_the_methods_in_the_order_of_the_plan(tmp_path: Path) -> None:
+    words = ("--list", "--share", "0.25", "--longest", "2000", "--out", str(tmp_path))
+    told = study("rivals.train", "rivals", *words).splitlines()
+    titles = dict.fromkeys(line.partition("; a training of ")[2] for line in told if "; a training of " in line)
+    assert list(titles) == [PLAIN, DSRC, *RIVALS]
 
 
 def test_records_without_weights_choose_the_rate(tmp_path: Path) -> None:
