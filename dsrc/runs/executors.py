@@ -2,8 +2,9 @@
 
 A task is a function of a module (it travels by name), an item a value that can be pickled. Items run in any order, and
 results come as they are ready. Items with the same attribute `group` have parts in common that a process keeps in
-memory: a process of this machine goes on with the group of its last item. A user's error ends its item only. A worker that dies is
-replaced and its item run again, a bounded number of times: tasks are written so that a second try resumes the first.
+memory: a process of this machine goes on with the group of its last item. A user's error ends its item only. A worker
+that dies is replaced and its item run again, a bounded number of times: tasks are written so that a second try resumes
+the first.
 """
 
 import multiprocessing

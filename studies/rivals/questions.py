@@ -1,7 +1,7 @@
 """Plans of the trainings of four questions: rivals, lengths of a training, parts of DSRC, the paper's scale.
 
-A plan is a generator, so that later trainings may depend on how earlier ones ended. It asks by `score`, which waits until a
-training is finished: AP@0.5 + AP@0.7 on the validation drives, clean.
+A plan is a generator, so that later trainings may depend on how earlier ones ended. It asks by `score`, which waits
+until a training is finished: AP@0.5 + AP@0.7 on the validation drives, clean.
 """
 
 from collections.abc import Callable, Iterator, Sequence
