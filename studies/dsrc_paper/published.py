@@ -53,8 +53,9 @@ _BY_OTHERS = {
 """Clean AP at IoU 0.7 in percent on OPV2V's default towns, see `_BY_OTHERS_NOTE`."""
 _BY_OTHERS_NOTE = (
     "Last column: AP at 0.7 on OPV2V's default towns, PointPillars, before compression. No collaboration is of OPV2V, "
-    "arXiv 2109.07644, the others of the README of OpenCOOD, where AttFuse has 81.5 and early fusion 80.0; CoAlign is "
-    "its fusion alone. V2X-ViT, ERMVP, MRCNet and Where2comm are not in either."
+    "arXiv 2109.07644, as the list Little-Podi/Collaborative_Perception quotes it, the others of the README of "
+    "OpenCOOD, where AttFuse has 81.5 and early fusion 80.0 and four methods here are missing; CoAlign is its fusion "
+    "alone."
 )
 
 _NOTE = "As printed, mCE and mAP computed from it. Other data, other training: see what moves alike, not the numbers."

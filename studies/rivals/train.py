@@ -175,7 +175,7 @@ def claim(run: Training, known: Mapping[str, Training], options: argparse.Namesp
     if settled(run, options):
         return True
     for name in filter(None, (run.start, run.teacher)):
-        if name in known and named(name, options) and done(name, options) is None:
+        if name in known and named(name, options) and not settled(known[name], options):
             return False
     start, teacher = (detector_of(name, options) if name else None for name in (run.start, run.teacher))
     try:

@@ -13,6 +13,7 @@ import pytest
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.runs.lock import locked
 from sim.errors import DataError, SettingsError
+from sim.files import write_file
 from studies.rivals import train
 from studies.rivals.questions import CHANGES, DSRC, PLAIN, QUESTIONS, RIVALS, STRONGEST, Training, pairs, parts, rivals
 from studies.shipped.train import STARTS
@@ -162,6 +163,12 @@ def test_what_another_process_trains_is_left_to_it(tmp_path: Path, monkeypatch: 
         assert not train.claim(known["teacher-1"], known, options) and not made
     assert not train.claim(known["attfuse-1"], known, options) and not made  # its start is not there
     assert train.claim(known["teacher-1"], known, options) and made == ["teacher-1"]
+    kept = Namespace(**vars(options) | {"kept": tmp_path / "kept"})
+    record = {"frames": 60, "bfloat16": True, "ap_bev_50": 0.5, "ap_bev_70": 0.5}
+    for name in ("teacher-1", "teacher-2"):
+        write_file(kept.kept / f"{name}.json", json.dumps(record))
+    with pytest.raises(SystemExit, match="teacher-2: this training comes first and is not finished"):
+        train.finish(known["attfuse-1"], known, kept)  # of its start only the record was kept
     (tmp_path / "folder").touch()
     with pytest.raises(DataError, match="cannot write in this folder"):
         train.claim(known["teacher-1"], known, Namespace(**vars(options) | {"out": tmp_path / "folder"}))
