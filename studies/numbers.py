@@ -12,12 +12,14 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from dsrc.closed_loop.campaign.episode import EpisodeResult
 from dsrc.closed_loop.metrics.comparison import Value, arrived, collided, counted, pairs
 from dsrc.closed_loop.metrics.statistics import PairedRates, paired_rates, rate
 from dsrc.closed_loop.report.tables import parts_of, tables
 from dsrc.closed_loop.types import Outcome
+from dsrc.training.recipes import RECIPES
 from studies.closed_loop.page import committed
 from studies.dsrc_paper.published import published_tables
 from studies.rivals.questions import TAUGHT
@@ -26,6 +28,7 @@ ROOT = Path(__file__).parents[1]
 FILE = ROOT / "studies/numbers.json"
 PAGES = ("README.md", "docs/results.md", "docs/closed_loop.md", "docs/campaigns.md", "docs/closed_loop_results.md")
 REPORT = ROOT / "studies/dsrc_paper/report"
+RIVALS = ROOT / "studies/rivals/report"
 LOOP = ROOT / "studies/closed_loop"
 QUOTED = re.compile(r"<!--n:(\w+)-->(.*?)<!--/n-->")
 _PACE = {
@@ -35,6 +38,8 @@ _PACE = {
     "brake": "hardest braking, m/s²",
     "harsh": "harsh",
 }
+BUSY = ("rilsa_2", "rilsa_4")
+"""Places with most boxes."""
 ALL_PARTS = "SDD + PCP + REC"
 FEATURES = (
     *("F-Cooper", "AttFuse (plain student)", "V2VNet", "V2X-ViT", "CoBEVT"),
@@ -74,6 +79,7 @@ def numbers() -> dict[str, str]:
     return dict(
         [
             *_counts(),
+            *_schedules(),
             *_differences(),
             *_thresholds(),
             *_snow(),
@@ -93,19 +99,49 @@ def _rows(file: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(line for line in lines if not line.startswith("#")))  # of the provenance
 
 
+def _made_by(file: Path) -> dict[str, Any]:
+    """Return the settings that a result file was made with."""
+    return json.loads(file.read_text(encoding="utf-8").partition("\n")[0].lstrip("# "))["settings"]
+
+
 def _counts() -> Iterator[tuple[str, str]]:
     """Yield how many drives, places, frames, trainings and seeds the other numbers are of."""
     results = REPORT / "dsrc-sim-twins/results.csv"
-    made_by = json.loads(results.read_text(encoding="utf-8").partition("\n")[0].lstrip("# "))
-    drives = made_by["settings"]["datasets"]["dsrc-sim"]
+    drives = _made_by(results)["datasets"]["dsrc-sim"]
     twins = _rows(results)
     yield "test_drives", str(len(drives))
     yield "test_places", str(len({drive.rpartition("_")[0] for drive in drives}))
     yield "frames_twins", _only({row["frames"] for row in twins})
     yield "frames_small", _only({row["frames"] for row in _rows(REPORT / "dsrc-sim-small/results.csv")})
     yield "trainings", str(len({row["training"] for row in twins}))
-    main = _episodes("campaign")
+    yield "frames_snow", str(_made_by(REPORT / "snow.csv")["frames"])
+    parts = _rows(RIVALS / "parts/results.csv")
+    yield "frames_parts", _only({row["frames"] for row in parts})
+    yield "trainings_parts", _only({str(count) for count in _trainings(parts).values()})
+    boxes = {place: int(row["boxes"]) for place, row in _table("places_twins").items()}
+    yield "busy_places_boxes", f"{100.0 * sum(map(boxes.__getitem__, BUSY)) / boxes['all, by drive']:.0f} %"
+    main, eyes = _episodes("campaign"), _episodes("cooperation-detectors")
     yield "seeds_corrupted", str(len({one.seed for one in _of(main, ALONE, corrupted=True)}))
+    yield "seeds_cooperation", str(len({one.seed for one in eyes}))
+    yield "encounters_cooperation", str(len({one.scenario for one in eyes}))
+
+
+def _schedules() -> Iterator[tuple[str, str]]:
+    """Yield the steps of the twins and of the rivals' own layers, and the range of their grid."""
+    trained = {row["name"]: row for row in _rows(REPORT.parent / "trainings.csv")}
+    plain = trained["attfuse_s0"]
+    yield "steps_twins", f"{sum(int(one['steps']) for one in (plain, trained[plain['init']])):,}"
+    yield "steps_rivals", f"{int(trained['v2x-vit_s0']['steps']):,}"
+    x0, y0, _, x1, y1, _ = RECIPES["small"]().model.grid.range_m
+    yield "range_twins", f"{x1 - x0:.0f} m x {y1 - y0:.0f} m"
+
+
+def _trainings(rows: Sequence[Mapping[str, str]]) -> dict[str, int]:
+    """Return the number of trainings of each method."""
+    found: dict[str, set[str]] = {}
+    for row in rows:
+        found.setdefault(row["method"], set()).add(row["training"])
+    return {method: len(trainings) for method, trainings in found.items()}
 
 
 def _only(values: set[str]) -> str:
@@ -130,7 +166,10 @@ def _differences() -> Iterator[tuple[str, str]]:
         wanted = (method, baseline, condition)
         rows = [row for row in _rows(file) if (row["method"], row["baseline"], row["condition"]) == wanted]
         yield name, " / ".join(_interval(row) for row in rows)
-    for row in _rows(ROOT / "studies/rivals/report/parts/dsrc-sim-2/differences_paper.csv"):
+        counts, common = _trainings(_rows(file.parents[1] / "results.csv")), len(rows[0]["seeds"].split())
+        pair = [common] if common > 1 else dict.fromkeys(counts[one] for one in (method, baseline))
+        yield f"{name}_trainings", " and ".join(map(str, pair))
+    for row in _rows(RIVALS / "parts/dsrc-sim-2/differences_paper.csv"):
         twins = {("DSRC", "plain twin"): "alone", (f"DSRC, {TAUGHT}", f"plain twin, {TAUGHT}"): "taught"}
         start = twins.get((row["method"], row["baseline"]))
         if start and row["condition"] == "mean_corrupted":
@@ -179,6 +218,13 @@ def _snow() -> Iterator[tuple[str, str]]:
     rows = [row for row in every if row["detector"] == "small-dsrc"]
     (taught,) = (row for row in every if row["line"] == "**snow, ours**" and row["detector"] == "small-dsrc-corrupted")
     yield "snow_taught_gain", _team_gain(taught)
+    whole, dropped = (
+        {(row["condition"], row["detector"]): float(row["team_0.5"]) for row in every if row["use"] == use}
+        for use in ("", "drop_lone_points True")
+    )
+    for name, condition in (("clear", "clean"), ("cross", "cross sensor 3")):
+        costs = sorted(round(whole[key] - dropped[key]) for key in dropped if key[0] == condition)
+        yield f"dropped_cost_{name}", f"{costs[0]} to {costs[-1]}"
     first = next(place for place, row in enumerate(rows) if row["line"] == "**snow, ours**")
     for name, row in zip(("snow", "dropped"), rows[first:], strict=False):
         if row["condition"] != "snow 3" or (row["use"] == "drop_lone_points True") != (name == "dropped"):

@@ -32,6 +32,25 @@ def test_a_page_is_short(page: str, words: int) -> None:
     assert len((ROOT / page).read_text(encoding="utf-8").split()) <= words
 
 
+def test_verdicts_are_those_of_their_intervals() -> None:
+    text = (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    checked = 0
+    for line in (line for line in text.splitlines() if line.startswith("| ") and line.count(" | ") == 3):
+        claim, measured, _, verdict = line.strip("| ").split(" | ")
+        bounds = [tuple(map(float, found)) for found in re.findall(r"\[(-?[\d.]+), (-?[\d.]+)\]", measured)]
+        said = verdict.partition(". ")[0].partition(";")[0]
+        if not bounds or "resolved" not in said:
+            continue
+        checked += 1
+        if "not resolved" in said:
+            assert any(low <= 0.0 <= high for low, high in bounds), claim
+        elif said.startswith("the opposite"):
+            assert all(high < 0.0 for _, high in bounds), claim
+        else:
+            assert all(low > 0.0 for low, _ in bounds), claim
+    assert checked >= 8
+
+
 def test_the_zoo_has_every_kept_detector_with_its_hash() -> None:
     table = (ROOT / "docs/zoo.md").read_text().partition("<!-- begin zoo -->\n")[2].partition("\n<!-- end zoo -->")[0]
     rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
