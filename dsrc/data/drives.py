@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dsrc.data.clouds.files import ENDINGS
 from dsrc.data.formats.dair import reader as dairv2x
 from dsrc.data.formats.opv2v import reader as opv2v
 from dsrc.data.sweeps import reader as sweeps
@@ -93,8 +94,11 @@ def find_drives(root: Path) -> list[Path]:
         return dairv2x.list_batches(address)
     if not root.is_dir() and (found := sweeps.sweeps_below(root)):
         return found
+    if root.exists() and not root.is_dir():
+        scans = f"a folder, or a scan *{', *'.join(ENDINGS)}"
+        raise DataError(complaint(root, "data", scans, f"a file *{root.suffix}" if root.suffix else "a file"))
     if not root.is_dir():
-        raise DataError(f"{root}: not a folder" if root.exists() else f"{root}: no such folder")
+        raise DataError(f"{root}: no such folder")
     below = [folder for pattern in ("*/", "*/*/") for folder in sorted(root.glob(pattern)) if dairv2x.is_tree(folder)]
     found = [drive for tree in below for drive in list_drives(tree)]
     return (found + opv2v.drives_below(root)) or sweeps.sweeps_below(root)

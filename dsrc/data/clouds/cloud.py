@@ -6,12 +6,13 @@ or not finite, are no points: they stay in the table where they are.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.clouds.columns import has_return
+from dsrc.data.clouds.columns import has_return, meaning
 from dsrc.data.clouds.intensity import Intensities, Scale, from_unit, to_unit
 from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY
 from sensors.corruptions.physics.rings import estimate_rings
@@ -40,6 +41,15 @@ class Cloud:
     intensity: str | None = None
     ring: str | None = None
     scale: Scale | None = None
+
+    @classmethod
+    def named(cls, where: Path | str, table: NDArray[np.void], scale: Scale | None = None) -> "Cloud":
+        """Return the cloud of a table by the names of its fields; DataError where a coordinate is missing or a list."""
+        axes, intensity, ring = meaning(where, table.dtype.names or ())
+        for name in (*axes, intensity, ring):
+            if name is not None and table.dtype[name].shape:
+                raise DataError(complaint(where, f"COUNT of {name}", "1", table.dtype[name].shape[0]))
+        return cls(table, axes, intensity, ring, scale)
 
     def __len__(self) -> int:
         return len(self.table)

@@ -51,9 +51,9 @@ def corrupt(
     """Corrupt one cloud: an array of points of any data set, or a sweep.
 
     Args:
-        points: (P, C) x forward, y left, z up in the sensor frame, m; intensity where C > 3; or a `Sweep`. Further
-            columns stay with their points and are 0 in added ones. Rows without a return, at the origin or not
-            finite, stay as they are.
+        points: (P, C) x forward, y left, z up in the sensor frame, m; intensity where C > 3; or (P,) with named fields
+            x, y, z and perhaps intensity and ring; or a `Sweep`. Further columns stay with their points and are 0 in
+            added ones. Rows without a return, at the origin or not finite, stay as they are.
         kind: key of `sensors.corruptions.CORRUPTIONS`, or `clean`.
         severity: 1 to 5; None for 3, the DSRC paper's, or with a preset.
         seed: of the drive; its weather and its faults that stay are the same for all `index`.
@@ -72,7 +72,7 @@ def corrupt(
         speed: of the sensor along x, m/s; for `motion_blur`.
 
     Returns:
-        (Q, C) array of the type of `points`, or a sweep.
+        (Q, C) or (Q,) array of the type of `points`, or a sweep.
 
     Raises:
         SettingsError: an unknown kind, severity, family, preset or sensor, arguments that exclude each other, or a kind
@@ -109,7 +109,7 @@ def cloud_of(
     """Return an array of points as a cloud.
 
     Args:
-        points: (P, C) x, y, z, intensity where C > 3, anything; or `columns`.
+        points: (P, C) x, y, z, intensity where C > 3, anything; or `columns`; or (P,) with named fields.
         ring: column of the beam index.
         columns: names of the columns.
         intensity_scale: see `corrupt`.
@@ -119,9 +119,17 @@ def cloud_of(
         SettingsError: a ring that is no column, or that is named too; a name that is missing or comes twice.
     """
     rows, names, scale = np.ascontiguousarray(points), parse_columns(columns), parse_scale(intensity_scale)
+    if rows.dtype.names and rows.ndim == 1:
+        for option_name, given in (("columns", names), ("ring", ring)):
+            if given is not None:
+                found = f"fields {' '.join(rows.dtype.names)}"
+                raise SettingsError(complaint("corrupt", option_name, "none with points that name their fields", found))
+        return Cloud.named("points", rows, scale)
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind != "f":
         found = f"{rows.dtype} {rows.shape}"
-        raise DataError(complaint("points", "shape", "floats of shape (P, 3), (P, 4) or more columns", found))
+        raise DataError(
+            complaint("points", "shape", "floats of shape (P, 3), (P, 4) or more columns, or (P,) with fields", found)
+        )
     width = rows.shape[1]
     if ring is not None and (names is not None or not 3 <= ring < width):
         expected = f"a column from 3 to {width - 1}, or its name among the columns"
@@ -143,7 +151,9 @@ def _table(rows: NDArray[np.generic], fields: list[str]) -> NDArray[np.void]:
 
 
 def array_of(table: NDArray[np.void], dtype: np.dtype) -> NDArray[np.generic]:
-    """Return (P, C) array of a table whose columns are all of one type."""
+    """Return (P, C) array of a table whose columns are all of one type; the table itself for a type with fields."""
+    if dtype.names:
+        return table
     return np.ascontiguousarray(table).view(dtype).reshape(len(table), len(table.dtype.names or ()))
 
 

@@ -5,6 +5,7 @@
 | `.bin`             | x y z intensity, float32, or those declared      | KITTI, SemanticKITTI               |
 | `.pcd.bin`         | x y z intensity ring, float32, or those declared | nuScenes: HDL-32E, intensity to 255|
 | `.npy`             | (P, C) floats x y z, the fourth is the intensity, anything; or those declared         |
+| `.npy`             | (P,) fields x y z and, by their names, intensity, ring | as ROS's messages become      |
 | `.pcd`, `.ply`     | fields x y z and, by their names, intensity, ring | any; vertices alone                |
 
 Points are x forward, y left, z up in the sensor's frame. Beside the folder of `velodyne/N.bin` may be labels:
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsrc.data.clouds.cloud import Cloud
-from dsrc.data.clouds.columns import KITTI, check_values, meaning
+from dsrc.data.clouds.columns import KITTI, check_values
 from dsrc.data.clouds.columns import NUSCENES as NUSCENES_COLUMNS
 from dsrc.data.clouds.corrupt import array_of, cloud_of
 from dsrc.data.clouds.intensity import EIGHT_BIT, Intensities, Scale
@@ -112,7 +113,7 @@ def read_scan(path: Path, columns: Sequence[str] | None = None, scale: Scale | N
         with parsing(path, f"{ending} scan"):
             if ending == ".ply":
                 table, header = decode_ply(path, content)
-                scan = Scan(_named(path, table), lambda table, _: encode_ply(table, header))
+                scan = Scan(Cloud.named(path, table), lambda table, _: encode_ply(table, header))
             elif ending == ".npy":
                 scan = _npy(path, content, columns)
             else:
@@ -180,15 +181,6 @@ def kitti_boxes(path: Path) -> NDArray[np.float64] | None:
     return kitti_labels.read_labels(labels, kitti_labels.calibration_of(labels.parent, int(path.stem)))[0].array
 
 
-def _named(path: Path, table: NDArray[np.void]) -> Cloud:
-    """Return the cloud of a table by the names of its fields."""
-    axes, intensity, ring = meaning(path, table.dtype.names or ())
-    for name in (*axes, intensity, ring):
-        if name is not None and table.dtype[name].shape:
-            raise DataError(complaint(path, f"COUNT of {name}", "1", table.dtype[name].shape[0]))
-    return Cloud(table, axes, intensity, ring)
-
-
 def _pcd(path: Path) -> Scan:
     table, taken = read_organised(path)
 
@@ -197,7 +189,7 @@ def _pcd(path: Path) -> Scan:
             notice("points of organised clouds were lost or added: these are written without their grid, HEIGHT 1")
         return encode_table(table, taken if same_rows else replace(taken, height=NOWHERE.height))
 
-    return Scan(_named(path, table), encode)
+    return Scan(Cloud.named(path, table), encode)
 
 
 def _rows(path: Path, content: bytes, columns: Sequence[str]) -> Scan:
@@ -208,7 +200,7 @@ def _rows(path: Path, content: bytes, columns: Sequence[str]) -> Scan:
         raise DataError(complaint(path, field, expected, f"{len(content)} bytes", f"; {_DECLARE}"))
     rows = np.frombuffer(content, table)
     check_values(path, rows)
-    return Scan(_named(path, rows), lambda table, _: table.tobytes())
+    return Scan(Cloud.named(path, rows), lambda table, _: table.tobytes())
 
 
 def _npy(path: Path, content: bytes, columns: Sequence[str] | None) -> Scan:

@@ -244,6 +244,33 @@ def test_columns_in_another_order_are_those_of_the_cloud(tmp_path: Path) -> None
     assert transform(rows, index=3).shape[1] == 5
 
 
+def test_an_array_with_fields_has_the_columns_that_it_names(tmp_path: Path) -> None:
+    ring = np.arange(len(CLOUD)) % 32
+    rows = np.zeros(len(CLOUD), [("intensity", ">f4"), ("z", "<f4"), ("y", "<f4"), ("x", "<f4"), ("ring", "<u2")])
+    for name, values in zip(("x", "y", "z", "intensity", "ring"), (*CLOUD.T, ring), strict=True):
+        rows[name] = values
+    plain = dsrc.corrupt(np.column_stack([CLOUD, ring]).astype("<f4"), "fog", ring=4)
+    out = dsrc.corrupt(rows, "fog")
+    assert out.dtype == rows.dtype
+    assert all(np.array_equal(out[name], plain[:, k]) for k, name in enumerate(("x", "y", "z", "intensity", "ring")))
+    made = corrupted(written(tmp_path / "1.bin", np.column_stack([CLOUD, ring])), columns="x,y,z,intensity,ring")
+    np.save(tmp_path / "1.npy", rows)
+    kept = np.load(corrupted(tmp_path / "1.npy"))
+    assert kept.dtype == rows.dtype
+    assert np.array_equal(kept["ring"], np.fromfile(made, "<f4").reshape(-1, 5)[:, 4])
+    with pytest.raises(SettingsError, match="columns: expected none with points that name their fields"):
+        dsrc.corrupt(rows, "fog", columns=("x", "y", "z", "intensity", "ring"))
+    with pytest.raises(DataError, match="fields: expected a field z"):
+        dsrc.corrupt(rows[["x", "y"]], "fog")
+
+
+@pytest.mark.parametrize("name", ["scan.csv", "scan.las", "scan"])
+def test_a_file_that_is_no_scan_is_told_which_are_read(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"1,2,3")
+    with pytest.raises(DataError, match=r"data: expected a folder, or a scan \*.pcd.bin, \*.bin"):
+        corrupted(tmp_path / name)
+
+
 def test_one_bright_point_changes_no_scale() -> None:
     bright = CLOUD.copy()
     bright[5, 3] = 1.004
