@@ -73,6 +73,8 @@ _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.s
 """Roadside objects taken from a map, by tag key or by key and value."""
 
 _MOST_FAULTS = 20
+_NO_ROADS = "No edges loaded"
+"""What netconvert says where nothing is left to drive on."""
 _OFFSET = re.compile(r'<location netOffset="([^",]+),([^",]+)"')
 
 _CODE = (
@@ -162,7 +164,13 @@ def _from_osm(source: Path, kind: str, folder: Path, work: Path, side: TrafficSi
     }
     if side == "left" or (side == "auto" and keeps_left(osm)):
         options["lefthand"] = True
-    run_tool("netconvert", options, net, str(source))
+    try:
+        run_tool("netconvert", options, net, str(source))
+    except ScenarioError as refusal:
+        if _NO_ROADS not in str(refusal):
+            raise
+        found = ", ".join(openstreetmap.highways_of(osm)) or "none"
+        raise ScenarioError(complaint(source, "highways", "roads for passenger cars, by SUMO's types", found)) from None
     if "<edge " not in net.read_text(encoding="utf-8"):
         # A street alone counts as isolated too.
         run_tool("netconvert", options | {"remove-edges.isolated": False}, net, str(source))

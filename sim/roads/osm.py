@@ -76,8 +76,16 @@ _COUNTRY = re.compile(
     r"""k=["'](?:addr:country|is_in:country_code|ISO3166-1(?::alpha2)?)["']\s+v=["']([A-Za-z]{2})["']"""
 )
 _PLACED_REFERENCE = re.compile(rb"<nd\b[^>]*\blat=")
+_ROOT = re.compile(rb"<([A-Za-z]\w*)")
+_HEAD = 1000
+"""Bytes in which a file's first element is looked for."""
 _SIDE = re.compile(r"""k=["']driving_side["']\s+v=["'](left|right)["']""")
 _NODE = re.compile(r"""<node\b[^>]*?\b(lat|lon)=["'](-?[\d.]+)["'][^>]*?\b(?:lat|lon)=["'](-?[\d.]+)["']""")
+
+
+def highways_of(osm: Path) -> list[str]:
+    """Return the kinds of highways among the ways of a map, such as `residential`, sorted."""
+    return sorted({tag.get("v", "") for tag in ET.parse(osm).iterfind("way/tag[@k='highway']")})
 
 
 def keeps_left(osm: Path) -> bool:
@@ -104,9 +112,13 @@ def in_order(osm: Path, source: Path, work: Path) -> Path:
     """Return an OSM XML file whose nodes come before its ways, sorted into a folder if need be.
 
     Raises:
-        ScenarioError: it is a Lanelet2 map, or cannot be read.
+        ScenarioError: it has no nodes, such as a page that tells of an error, is a Lanelet2 map, or cannot be read.
     """
     text = osm.read_bytes()
+    if b"<node" not in text and not _PLACED_REFERENCE.search(text):
+        root = _ROOT.search(text[:_HEAD])
+        found = f"<{root[1].decode('ascii')}> without any" if root else "none"
+        raise ScenarioError(complaint(source, "nodes", "those of an OpenStreetMap extract", found))
     if b'v="lanelet"' in text and b'k="highway"' not in text:
         expected = "an OpenStreetMap extract, with ways of highways"
         raise ScenarioError(complaint(source, "map", expected, "a Lanelet2 map; import it as OpenDRIVE (.xodr)"))

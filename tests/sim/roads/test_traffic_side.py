@@ -1,5 +1,6 @@
 """Side of traffic: maps of left-driving countries, networks of SUMO and OpenDRIVE roads whose rule is LHT."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,16 @@ def test_ways_before_nodes_are_read_as_if_sorted(tmp_path: Path) -> None:
     other = converted(swapped, text.replace(nodes, "").replace("</osm>", f"{nodes}</osm>"))
     shapes = [{edge.getID(): edge.getShape() for edge in net.getEdges(False)} for net in (plain, other)]
     assert shapes[0] == shapes[1] and len(shapes[0]) > 3
+
+
+def test_a_map_without_nodes_or_roads_says_what_it_has(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="nodes: expected those of an OpenStreetMap extract, found <html> without"):
+        converted(tmp_path, "<!DOCTYPE html>\n<html><body>429 Too Many Requests</body></html>")
+    text = crossing()
+    for kind in set(re.findall(r'<tag k="highway" v="(\w+)"', text)):
+        text = text.replace(f'<tag k="highway" v="{kind}"/>', '<tag k="highway" v="cycleway"/>')
+    with pytest.raises(ScenarioError, match="highways: expected roads for passenger cars.* found cycleway"):
+        converted(tmp_path, text)
 
 
 def test_a_lanelet2_map_is_named(tmp_path: Path) -> None:
