@@ -21,6 +21,8 @@ STEP_S = 0.1
 """Step of the traffic log, s."""
 GAP_S = 1.0
 """Time between two samples of a track from which on the road user is away in between, s."""
+FASTEST_MPS = 150.0
+"""Speed above which two samples of a track are those of two places, and the road user is away in between."""
 LONGEST_S = 3600.0
 LONGEST_M = 100.0
 FARTHEST_M = 1e7
@@ -34,6 +36,8 @@ _STEP_M = 0.2
 """Way over which the heading of one who walks is taken, m."""
 _STRIDE_M = 1.0
 """Way over which the direction of a motion is taken, m."""
+_JUMP_M = 5.0
+"""Way below which a step is no jump, however short it took: places are noisy."""
 
 _SIZE_M = {
     "car": (4.5, 1.8, 1.5),
@@ -160,12 +164,13 @@ def check_tracks(path: Path, recording: Recording) -> None:
     """Check the tracks of a file together; headings that disagree with the motion are logged as a warning.
 
     Raises:
-        DataError: a name is there twice.
+        DataError: a name is there twice, or the places are no metres.
     """
     names = [one.name for one in recording.tracks]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise DataError(complaint(path, "id", "ids that differ", twice))
+    _check_metres(path, [one for one in recording.tracks if one.class_name != "pedestrian"])
     turns = [(one.name, turn) for one in recording.tracks if (turn := _askew_rad(one)) is not None]
     askew = [(name, turn) for name, turn in turns if turn > _ASKEW_RAD]
     if askew:
@@ -179,6 +184,16 @@ def check_tracks(path: Path, recording: Recording) -> None:
             name,
             math.degrees(turn),
         )
+
+
+def _check_metres(path: Path, vehicles: Sequence[Track]) -> None:
+    """Check that vehicles, all through a file, are not within half the width of one, as places in degrees are."""
+    if len(vehicles) < 2:
+        return
+    extent = float(np.ptp(np.concatenate([one.center[:, :2] for one in vehicles]), axis=0).max())
+    if 0.0 < extent < 0.5 * min(one.size[1] for one in vehicles):
+        found = f"{len(vehicles)} vehicles within {extent:.2g}"
+        raise DataError(complaint(path, "x, y", "metres", found, "; are they in degrees?"))
 
 
 def _askew_rad(one: Track) -> float | None:
@@ -234,14 +249,14 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
     """Return the traffic log of tracks, every `STEP_S` from the first sample on.
 
     Between two samples the place is interpolated, the heading by the shortest arc. A road user is away before its first
-    sample, after its last and in gaps of more than `GAP_S`, each of which is logged as a warning. Ids are `FIRST_ID`
-    and on, in the order of the file; names are those of the file.
+    sample, after its last, in gaps of more than `GAP_S` and where it would be faster than `FASTEST_MPS`; each gap and
+    jump is logged as a warning. Ids are `FIRST_ID` and on, in the order of the file; names are those of the file.
 
     Args:
         path: of the file, for messages.
 
     Raises:
-        DataError: there is no track, or they last longer than `LONGEST_S`.
+        DataError: there is no track, they last longer than `LONGEST_S`, or most samples are more than `GAP_S` apart.
     """
     if not recording.tracks:
         raise DataError(complaint(path, "tracks", "at least one road user", "none"))
@@ -250,6 +265,13 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
     if last - first > LONGEST_S:
         expected = f"seconds, at most {LONGEST_S:g} from first to last"
         raise DataError(complaint(path, "time", expected, f"{last - first:g}"))
+    apart = [np.diff(one.time_s) for one in recording.tracks if len(one.time_s) > 1]
+    if apart and (usual := float(np.median(np.concatenate(apart)))) > GAP_S + 1e-6:
+        expected, hint = (
+            f"seconds, most samples at most {GAP_S:g} s apart",
+            "; is it in milliseconds, or a frame's number?",
+        )
+        raise DataError(complaint(path, "time", expected, f"{usual:g} s", hint))
     steps = math.floor((last - first) / STEP_S + 1e-6) + 1
     times = np.asarray(first + STEP_S * np.arange(steps), np.float64)
     sampled = [_sampled(path, one, times) for one in recording.tracks]
@@ -305,9 +327,13 @@ def _sampled(path: Path, one: Track, times: NDArray[np.float64]) -> _Sampled:
     first = int(np.searchsorted(times, one.time_s[0] - 1e-6))
     times = times[first : int(np.searchsorted(times, one.time_s[-1] + 1e-6, side="right"))]
     there = (times >= one.time_s[0] - 1e-6) & (times <= one.time_s[-1] + 1e-6)
-    for gap in np.flatnonzero(np.diff(one.time_s) > GAP_S + 1e-6):
-        start, end = one.time_s[gap : gap + 2]
-        _log.warning("%s: object '%s': no samples from %.2f s to %.2f s: it is away", path, one.name, start, end)
+    took_s, way_m = np.diff(one.time_s), np.hypot(*np.diff(one.center[:, :2], axis=0).T)
+    jumps = (way_m > _JUMP_M) & (way_m > FASTEST_MPS * took_s)
+    cuts = np.flatnonzero((took_s > GAP_S + 1e-6) | jumps)
+    for cut in cuts:
+        start, end = one.time_s[cut : cut + 2]
+        what = f"a jump of {way_m[cut]:.0f} m" if jumps[cut] else "no samples"
+        _log.warning("%s: object '%s': %s from %.2f s to %.2f s: it is away", path, one.name, what, start, end)
         there &= (times <= start + 1e-6) | (times >= end - 1e-6)
     if not there.any():
         _log.warning("%s: object '%s': between two steps of %g s: it is left out", path, one.name, STEP_S)
@@ -315,7 +341,8 @@ def _sampled(path: Path, one: Track, times: NDArray[np.float64]) -> _Sampled:
     yaw = np.asarray(wrap_angle(np.interp(times, one.time_s, np.unwrap(one.yaw))), np.float64)
     motion = np.zeros((len(times), 2, 2))
     known = np.flatnonzero(there)
-    for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+    part = np.searchsorted(one.time_s[cuts], times[known] - 1e-6)
+    for run in np.split(known, np.flatnonzero((np.diff(known) > 1) | (np.diff(part) > 0)) + 1):
         if len(run) > 1:
             motion[run, 0] = np.gradient(center[run, :2], STEP_S, axis=0)
             motion[run[1:], 1] = np.diff(motion[run, 0], axis=0) / STEP_S

@@ -183,6 +183,29 @@ def test_a_gap_is_named_and_nobody_is_there(tmp_path: Path, caplog: pytest.LogCa
     assert "object 'a': no samples from 0.50 s to 3.00 s" in line
 
 
+def test_a_jump_is_named_and_gives_no_speed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "jump.csv"
+    rows = [f"{t:.1f},a,{10 * t + (500 if t > 0.45 else 0)},0,0,4,2,car" for t in np.arange(0.0, 1.0, 0.1)]
+    path.write_text(HEADER + "\n".join(rows))
+    with caplog.at_level(logging.WARNING):
+        log = to_log(path, *read_tracks(path))
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert "object 'a': a jump of 501 m from 0.40 s to 0.50 s" in line
+    assert all("a" in log[step].name for step in range(10))
+    np.testing.assert_allclose([log[step].velocity[0, 0] for step in range(10)], 10.0, atol=1e-6)
+
+
+def test_places_in_degrees_and_times_in_milliseconds_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "units.csv"
+    rows = [(t, name, k) for t in np.arange(0.0, 1.0, 0.1) for k, name in enumerate("ab")]
+    path.write_text(HEADER + "\n".join(f"{t},{name},{48 + 1e-4 * t},{11 + 5e-5 * k},0,4,2,car" for t, name, k in rows))
+    with pytest.raises(DataError, match="x, y: expected metres, found 2 vehicles within 9e-05; are they in degrees"):
+        read_tracks(path)
+    path.write_text(HEADER + "\n".join(f"{1e3 * t:.0f},{name},{10 * t},{5 * k},0,4,2,car" for t, name, k in rows))
+    with pytest.raises(DataError, match=r"time: expected seconds, .* found 100 s; is it in milliseconds"):
+        to_log(path, *read_tracks(path))
+
+
 def test_heights_are_kept_and_the_ground_is_where_they_stand(tmp_path: Path) -> None:
     path = tmp_path / "hill.csv"
     rows = "\n".join(f"{t},{name},{t},0,101.0,0,4,2,2.0,car" for name in "ab" for t in (0.0, 1.0))
