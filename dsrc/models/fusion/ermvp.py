@@ -12,8 +12,10 @@ from dsrc.models.fusion.cobevt import WindowFusion
 from dsrc.models.fusion.warp import into_ego
 from dsrc.models.fusion.windows import (
     AgentWindows,
+    Dropout,
     FeedForward,
     Residual,
+    attention,
     cut,
     in_heads,
     paste,
@@ -171,7 +173,7 @@ class GlobalQuery(nn.Module):
         self.shorten = nn.Sequential(Shorten(channels), Shorten(channels))
         self.key_value = nn.Linear(channels, 2 * channels)
         self.out = nn.Linear(channels, channels, bias=False)
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = Dropout(dropout)
         self.bias = nn.Parameter(torch.randn((2 * agents - 1) * (2 * window - 1) ** 2, heads) * 0.02)
         self.register_buffer("place", relative_place(agents, window), persistent=False)
 
@@ -183,7 +185,7 @@ class GlobalQuery(nn.Module):
         query = (among @ tokens).mean(0).unflatten(-1, (self.heads, -1)).transpose(0, 1)
         key, value = in_heads(self.key_value(cut(x, self.window)), 2, self.heads)
         mask = window_mask(self.bias, self.place, len(x), self.window, valid, False)
-        found = functional.scaled_dot_product_attention(query.expand_as(key), key, value, attn_mask=mask)
+        found = attention(query.expand_as(key), key, value, mask)
         joined = self.dropout(self.out(found.transpose(1, 2).flatten(2)))
         return paste(joined, tuple(x.shape), self.window)
 

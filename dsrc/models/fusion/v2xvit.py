@@ -6,11 +6,10 @@ from typing import Self
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from dsrc.models.fusion.base import AgentLayout, Fusion, zeroed
 from dsrc.models.fusion.warp import about_centre, in_cells, shifted
-from dsrc.models.fusion.windows import FeedForward, Residual, cut, in_heads, padded, paste
+from dsrc.models.fusion.windows import Dropout, FeedForward, Residual, attention, cut, in_heads, padded, paste
 from dsrc.models.settings import ModelSettings
 
 # Legend: A agents of a sample, H W map, C channels, M heads, P Q channels of a head, T kinds of agents.
@@ -139,7 +138,7 @@ class AgentAttention(nn.Module):
         self.relation_message = nn.Parameter(torch.zeros(kinds**2, heads, each, each))
         nn.init.xavier_uniform_(self.relation_score)
         nn.init.xavier_uniform_(self.relation_message)
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = Dropout(dropout)
 
     def forward(self, x: Tensor, kind: Tensor, seen: Tensor | None, wanted: int) -> Tensor:
         """Attend.
@@ -222,7 +221,7 @@ class WindowAttention(nn.Module):
         self.place: Tensor
         self.qkv = nn.Linear(channels, 3 * width, bias=False)
         self.out = nn.Linear(width, channels)
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = Dropout(dropout)
         self.bias = nn.Parameter(torch.randn(2 * window - 1, 2 * window - 1) * 0.02)
         place = torch.stack(torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")).flatten(1)
         # Offset of the key's cell from the query's.
@@ -240,7 +239,7 @@ class WindowAttention(nn.Module):
         if valid is not None:
             seen = cut(valid[:1, ..., None], self.window)[:, None, None, :, 0]
             mask = mask.masked_fill(~seen, -torch.inf).repeat(agents, 1, 1, 1)
-        found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+        found = attention(query, key, value, mask)
         joined = found.transpose(1, 2).flatten(2)
         whole = paste(joined, (*below[:3], joined.shape[-1]), self.window).view(*filled.shape[:3], -1)
         return self.dropout(self.out(whole[:, :height, :width]))

@@ -7,6 +7,19 @@ from torch.nn import functional
 # Legend: A agents, H W map, w side of a window, G windows, C channels, L most agents.
 
 
+class Dropout(nn.Dropout):
+    """Dropout by random bytes on a CPU, in a quarter of the time; the share is the nearest multiple of 1 / 256."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Drop values in training, and scale the others up."""
+        dropped = round(256 * self.p)
+        if not self.training or not 0 < dropped < 256 or x.is_cuda:
+            return super().forward(x)
+        words = torch.empty((x.numel() + 7) // 8, dtype=torch.int64, device=x.device).random_(-(2**63), None)
+        kept = words.view(torch.uint8)[: x.numel()].view(x.shape) >= dropped
+        return x * kept.to(x.dtype).mul_(256 / (256 - dropped))
+
+
 class FeedForward(nn.Sequential):
     """Feed-forward layers: linear, GELU, linear, with dropout."""
 
@@ -14,9 +27,9 @@ class FeedForward(nn.Sequential):
         super().__init__(
             nn.Linear(channels, hidden),
             nn.GELU(),
-            nn.Dropout(dropout),
+            Dropout(dropout),
             nn.Linear(hidden, channels),
-            nn.Dropout(dropout),
+            Dropout(dropout),
         )
 
 
@@ -50,7 +63,7 @@ class AgentWindows(nn.Module):
         self.place: Tensor
         self.qkv = nn.Linear(channels, 3 * channels, bias=False)
         self.out = nn.Linear(channels, channels, bias=False)
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = Dropout(dropout)
         self.bias = nn.Parameter(torch.randn((2 * agents - 1) * (2 * window - 1) ** 2, heads) * 0.02)
         self.register_buffer("place", relative_place(agents, window), persistent=False)
 
@@ -59,9 +72,21 @@ class AgentWindows(nn.Module):
         tokens = cut(x, self.window, self.spread)
         query, key, value = in_heads(self.qkv(tokens), 3, self.heads)
         mask = window_mask(self.bias, self.place, len(x), self.window, valid, self.spread)
-        found = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+        found = attention(query, key, value, mask)
         joined = self.dropout(self.out(found.transpose(1, 2).flatten(2)))
         return paste(joined, tuple(x.shape), self.window, self.spread)
+
+
+def attention(query: Tensor, key: Tensor, value: Tensor, mask: Tensor) -> Tensor:
+    """Return (G, heads, T, P) values by softmax of the scores of queries and keys, to which a mask is added.
+
+    In a training on a CPU it is written out: there PyTorch's own goes through single precision for a mask with a
+    gradient, and looks for queries without any key, which windows have none of.
+    """
+    if query.is_cuda or not torch.is_grad_enabled():
+        return functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+    scores = torch.matmul(query * query.shape[-1] ** -0.5, key.transpose(-1, -2))
+    return torch.matmul(torch.softmax(scores.float() + mask, dim=-1).to(value.dtype), value)
 
 
 def relative_place(agents: int, window: int) -> Tensor:

@@ -1,9 +1,12 @@
 """Fusion methods against their references and against what they must not depend on."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
-from torch import nn
+from torch import Tensor, nn
+from torch.nn import functional
 
 from dsrc.models.fusion import FUSIONS, AgentLayout, Fusion
 from dsrc.models.fusion.attention import AttentionFusion
@@ -15,6 +18,7 @@ from dsrc.models.fusion.v2vnet import V2VNet
 from dsrc.models.fusion.v2xvit import AgentAttention, V2XViT, WindowAttention, delay_code
 from dsrc.models.fusion.warp import about_centre, in_cells, into_ego, normalised, shifted
 from dsrc.models.fusion.where2comm import Where2comm, gaussian
+from dsrc.models.fusion.windows import Dropout, attention
 from dsrc.models.layers.backbones import plain
 from dsrc.models.layers.blocks import upsample
 from dsrc.models.settings import ModelSettings
@@ -412,3 +416,34 @@ def test_what_an_agent_saw_is_put_where_it_is_for_the_ego() -> None:
         moved = shifted(group, motion)[1]
         assert abs(int(moved.argmax()) // 48 - int(expected.argmax()) // 48) <= 1
         assert abs(int(moved.argmax()) % 48 - int(expected.argmax()) % 48) <= 1
+
+
+def test_attention_of_a_training_is_that_of_a_detection() -> None:
+    torch.manual_seed(0)
+    query, key, value = (torch.randn(6, 2, 16, 8, requires_grad=True) for _ in range(3))
+    bias = torch.randn(1, 2, 16, 16, requires_grad=True)
+    mask = bias.masked_fill(torch.arange(16) == 3, -torch.inf)
+    trained = attention(query, key, value, mask)
+    with torch.no_grad():
+        detected = attention(query, key, value, mask)
+    torch.testing.assert_close(trained, detected)
+    wanted = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+    inputs = (query, key, value, bias)
+    for found, expected in zip(
+        *(torch.autograd.grad(x.square().sum(), inputs) for x in (trained, wanted)), strict=True
+    ):
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 1.0])
+def test_dropout_keeps_the_mean_and_drops_its_share(share: float) -> None:
+    torch.manual_seed(0)
+    layer, x = Dropout(share), torch.ones(101, 997, requires_grad=True)
+    y = layer(x)
+    kept = y != 0
+    dropped = round(256 * share) / 256 if round(256 * share) else share
+    assert float((~kept).float().mean()) == pytest.approx(dropped, abs=0.005)
+    assert share == 1.0 or float(y.detach().mean()) == pytest.approx(1.0, abs=0.01)
+    (gradient,) = torch.autograd.grad(y.sum(), x)
+    assert torch.equal(gradient, y.detach())
+    assert torch.equal(layer.eval()(x), x)
