@@ -422,17 +422,18 @@ def test_attention_of_a_training_is_that_of_a_detection() -> None:
     torch.manual_seed(0)
     query, key, value = (torch.randn(6, 2, 16, 8, requires_grad=True) for _ in range(3))
     bias = torch.randn(1, 2, 16, 16, requires_grad=True)
-    mask = bias.masked_fill(torch.arange(16) == 3, -torch.inf)
-    trained = attention(query, key, value, mask)
-    with torch.no_grad():
-        detected = attention(query, key, value, mask)
-    torch.testing.assert_close(trained, detected)
-    wanted = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
     inputs = (query, key, value, bias)
-    for found, expected in zip(
-        *(torch.autograd.grad(x.square().sum(), inputs) for x in (trained, wanted)), strict=True
-    ):
-        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+    def gradients(attend: Callable[..., Tensor]) -> tuple[Tensor, ...]:
+        mask = bias.masked_fill(torch.arange(16) == 3, -torch.inf)
+        found = attend(query, key, value, attn_mask=mask)
+        with torch.no_grad():
+            torch.testing.assert_close(found, attention(query, key, value, mask))
+        return torch.autograd.grad(found.square().sum(), inputs)
+
+    found = gradients(lambda *heads, attn_mask: attention(*heads, attn_mask))
+    for ours, theirs in zip(found, gradients(functional.scaled_dot_product_attention), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 1.0])
