@@ -13,6 +13,7 @@ is the CPU time of a loader's process for a batch: it reads, draws and collates 
 
     python -m benchmarks.training            # a few minutes
     python -m benchmarks.training --quick    # fewer samples, under 50 s
+    python -m benchmarks.training --rivals v2x-vit cobevt ermvp
     python -m benchmarks.training --device cuda --recipe opv2v --sync-debug --trace runs/step.json
 """
 
@@ -220,14 +221,15 @@ class Step:
         return {part: found[part] / whole for part in PARTS}
 
 
-def make_steps(recipe: Recipe, device: str, resident: bool = False) -> dict[str, Step]:
-    """Return the steps that are timed, by name."""
+def make_steps(recipe: Recipe, device: str, resident: bool = False, rivals: tuple[str, ...] = ()) -> dict[str, Step]:
+    """Return the steps that are timed, by name: those of `METHODS` and of further methods."""
     recipe = replace(recipe, augmentation=_AS_IT_IS)
     with TemporaryDirectory() as folder:
         for index in range(SAMPLES):
             write_frame(Path(folder), make_frame(index))
         steps = {
-            name: Step(of_method(recipe, method), Path(folder), device, resident) for name, method in METHODS.items()
+            name: Step(of_method(recipe, method), Path(folder), device, resident)
+            for name, method in (METHODS | {name: name for name in rivals}).items()
         }
         for step in steps.values():
             step.loader_ms = step.feed.loader_ms()
@@ -241,6 +243,7 @@ def figures_of(steps: dict[str, Step], timings: dict[str, Timing]) -> dict[str, 
         **{f"step_ms_{name}": round(value, 1) for name, value in ms.items()},
         "dsrc_over_plain": round(ms["dsrc"] / ms["plain"], 2),
         "dsrc_over_plain_alone": round(ms["dsrc_alone"] / ms["plain_alone"], 2),
+        **{f"{name}_over_plain": round(ms[name] / ms["plain"], 2) for name in steps if name not in METHODS},
         "operations": {name: step.operations() for name, step in steps.items()},
         "operations_of_batch": {name: step.operations_of_batch() for name, step in steps.items()},
         "loader_ms": {name: round(step.loader_ms, 1) for name, step in steps.items()},
@@ -267,6 +270,7 @@ def main(
     resident: bool | None = None,
     sync_debug: bool = False,
     trace: Path | None = None,
+    rivals: tuple[str, ...] = (),
 ) -> None:
     """Time training steps: a table, then one line of JSON.
 
@@ -278,12 +282,13 @@ def main(
         resident: make batches of points in the device's memory; by default on a GPU.
         sync_debug: before all else, run each step once on a GPU so that it raises where the host waits.
         trace: file for the trace of a step of DSRC.
+        rivals: further methods that are timed, such as v2x-vit.
     """
     if device == "cpu" and sync_debug:
         raise SettingsError(complaint("benchmark", "--sync-debug", "--device cuda", device))
     torch.set_num_threads(1)
     resident = device != "cpu" if resident is None else resident
-    steps = make_steps(replace(RECIPES[recipe](), bfloat16=bfloat16), device, resident)
+    steps = make_steps(replace(RECIPES[recipe](), bfloat16=bfloat16), device, resident, rivals)
     for step in steps.values():
         if sync_debug:
             step()  # the first step prepares the teacher
