@@ -7,7 +7,8 @@ until a training is finished: AP@0.5 + AP@0.7 on the validation drives, clean.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from dsrc.training.recipes import METHODS
+from dsrc.models.fusion import FUSIONS
+from dsrc.training.recipes import METHODS, RECIPES, of_method
 from studies.shipped.train import Run
 
 Score = Callable[[str], float]
@@ -40,6 +41,9 @@ CHANGES: dict[str, tuple[str, tuple[str, ...]]] = {
     "student thinned more": ("teacher", ("augmentation.thinning=0.6",)),
 }
 """Factors of DSRC alone: the teacher that fits, and changes of the recipe; all trainings are thinned with 0.3."""
+MAP_START, RESIDUAL_START = "alone-map", "alone-residual"
+"""Networks of single vehicles with layers that the one which all others start from lacks: those of one map, and CoAlign's
+backbone."""
 LENGTHS = {"": 2000, "half as long": 1000, "three times as long": 6000}
 TAUGHT = "from the teacher's weights"
 SCALE_PARTS = 2
@@ -60,13 +64,17 @@ Plan = Callable[[Score], Iterator[Training]]
 
 
 def rivals(score: Score, longest: int = DOUBLED[-1]) -> Iterator[Training]:
-    """Yield DSRC, its plain twin and the rivals, each with its own rate and length, from the same network.
+    """Yield DSRC, its plain twin and the rivals, each with its own rate and length, from networks of single vehicles.
 
     The first length is tried with both rates; it is doubled until the longer training is not better, or is the
     longest. All methods are trained at one length before any at the next. The four rivals that are best after their
     first training have two more, DSRC and its twin four.
     """
     yield from _starts()
+    ones = ("augmentation.alone=1",)
+    yield Training(MAP_START, "max-map", "plain", "alone", 3000, RATE, settings=(*VALIDATED, *ones))
+    backbone = ('backbone="resnet"',)
+    yield Training(RESIDUAL_START, "no-collaboration", "plain", "alone", 3000, RATE, settings=(*VALIDATED, *backbone))
     titles = {"attfuse": PLAIN, "dsrc": DSRC} | {name: name for name in RIVALS}
     trials = {method: [_length(method, DOUBLED[0], rate=rate) for rate in RATES] for method in titles}
     for both in trials.values():
@@ -160,9 +168,17 @@ def _teacher(name: str, start: str = "unparked-teacher", settings: tuple[str, ..
 
 
 def _length(method: str, steps: int, seed: int = 0, title: str = "", rate: float = RATE) -> Training:
-    """Return the training of a student from the network of single vehicles; questions share it by its name."""
+    """Return the training of a student from its network of single vehicles; questions share it by its name."""
     name = f"{method}-{steps}-{seed}" + ("" if rate == RATE else "-slow")
-    return _student(name, method, title, steps, rate, seed)
+    return _student(name, method, title, steps, rate, seed, start_of(method))
+
+
+def start_of(method: str) -> str:
+    """Return the name of the network of single vehicles that has a method's layers, all but those of its fusion."""
+    model = of_method(RECIPES["small"](), method).model
+    if model.backbone_name == "resnet":
+        return RESIDUAL_START
+    return MAP_START if FUSIONS[model.fusion].place == "map" else "alone"
 
 
 def _student(
