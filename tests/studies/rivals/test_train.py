@@ -9,8 +9,10 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from dsrc.data.formats.opv2v.reader import write_frame
+from dsrc.models.detector import Detector
 from dsrc.runs.lock import locked
 from sim.errors import DataError, SettingsError
 from sim.files import write_file
@@ -36,14 +38,14 @@ def test_every_training_comes_after_what_it_starts_from_and_is_taught_by(questio
         known[run.name] = run
 
 
-def test_rivals_have_one_start_and_the_rate_and_length_that_are_best_for_each() -> None:
+def test_rivals_have_the_rate_and_length_that_are_best_for_each() -> None:
     known = {"attfuse-1000-0": 1.2, "attfuse-2000-0": 1.3, "attfuse-4000-0": 1.25}
     strongest = "late", "early", "cobevt", "ermvp"
     known |= {f"{method}-4000-0-slow": 1.0 + 0.01 * place for place, method in enumerate(strongest)}
     known |= {"no-collaboration-8000-0-slow": 1.9} | {f"{method}-1000-0": 0.4 for method in ("dsrc", *RIVALS)}
     runs = list(rivals(lambda name: known.get(name, 0.8 if "-2000" in name else 0.5)))
     measured = {run.method: run for run in runs if run.title and run.seed == 0}
-    assert set(measured) == {"attfuse", "dsrc", *RIVALS} and {run.start for run in measured.values()} == {"alone"}
+    assert set(measured) == {"attfuse", "dsrc", *RIVALS}
     lengths = {name: measured[name].steps for name in ("attfuse", "dsrc", "late", "no-collaboration")}
     assert lengths == {"attfuse": 2000, "dsrc": 2000, "late": 4000, "no-collaboration": 2000}
     assert {name for name, run in measured.items() if run.rate == 1.5e-3} == {"attfuse"}
@@ -58,9 +60,23 @@ def test_rivals_have_one_start_and_the_rate_and_length_that_are_best_for_each() 
         assert (run.rate, run.steps) == (one.rate, one.steps)
 
 
+def test_a_start_has_all_layers_of_a_method_but_those_of_its_fusion() -> None:
+    runs = {run.name: run for run in plan("rivals")}
+    starts = {run.method: run.start for run in runs.values() if run.title}
+    lengths = {runs[start].steps for start in starts.values()}
+    assert set(starts.values()) == {"alone", "alone-map", "alone-residual"} and len(lengths) == 1
+
+    def layers(run: Training) -> dict[str, torch.Size]:
+        state = Detector(run.recipe().settings(run.stage)).state_dict()
+        return {name: value.shape for name, value in state.items() if not name.startswith("fusion.")}
+
+    for method, start in starts.items():
+        assert layers(next(run for run in runs.values() if run.method == method and run.title)) == layers(runs[start])
+
+
 def test_all_rivals_are_trained_at_one_length_before_the_next_and_none_longer_than_asked() -> None:
-    lengths = [run.steps for run in rivals(lambda name: float(name.split("-")[-2]), longest=2000) if not run.title]
-    trials = lengths[2:]
+    runs = rivals(lambda name: float(name.split("-")[-2]), longest=2000)
+    trials = [run.steps for run in runs if not run.title and re.fullmatch(r".*-\d+-0(-slow)?", run.name)]
     assert trials == sorted(trials) and set(trials) == {1000, 2000}
 
 
