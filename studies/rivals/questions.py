@@ -42,7 +42,7 @@ CHANGES: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Factors of DSRC alone: the teacher that fits, and changes of the recipe; all trainings are thinned with 0.3."""
 MAP_START, RESIDUAL_START = "alone-map", "alone-residual"
-"""Networks of single vehicles with layers that the one of most methods lacks: those of one map, and CoAlign's backbone."""
+"""Networks of single vehicles with layers that most methods lack: those of one map, and CoAlign's backbone."""
 LENGTHS = {"": 2000, "half as long": 1000, "three times as long": 6000}
 TAUGHT = "from the teacher's weights"
 SCALE_PARTS = 2
