@@ -13,7 +13,7 @@ class Dropout(nn.Dropout):
     def forward(self, x: Tensor) -> Tensor:
         """Drop values in training, and scale the others up."""
         dropped = round(256 * self.p)
-        if not self.training or not 0 < dropped < 256 or x.is_cuda:
+        if not self.training or not 0 < dropped < 256 or x.device.type != "cpu":
             return super().forward(x)
         words = torch.empty((x.numel() + 7) // 8, dtype=torch.int64, device=x.device).random_(-(2**63), None)
         kept = words.view(torch.uint8)[: x.numel()].view(x.shape) >= dropped
@@ -83,7 +83,7 @@ def attention(query: Tensor, key: Tensor, value: Tensor, mask: Tensor) -> Tensor
     In a training on a CPU it is written out: there PyTorch's own goes through single precision for a mask with a
     gradient, and looks for queries without any key, which windows have none of.
     """
-    if query.is_cuda or not torch.is_grad_enabled():
+    if query.device.type != "cpu" or not torch.is_grad_enabled():
         return functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
     scores = torch.matmul(query * query.shape[-1] ** -0.5, key.transpose(-1, -2))
     return torch.matmul(torch.softmax(scores.float() + mask, dim=-1).to(value.dtype), value)
