@@ -156,23 +156,21 @@ class AgentAttention(nn.Module):
         tokens = self.norm(x).flatten(1, 2)
         query = self._per_kind(self.query, tokens[:wanted], kind)
         key, value = (self._per_kind(layers, tokens, kind) for layers in (self.key, self.value))
-        hidden = None if seen is None else ~seen.flatten(1)[:, :, None]
-        results: list[Tensor] = []
-        by_kind: dict[int, tuple[Tensor, Tensor]] = {}
-        for i in range(wanted):
-            own_kind = int(kind[i])
-            if own_kind not in by_kind:
-                relation = own_kind * self.kinds + kind
-                by_kind[own_kind] = (
-                    torch.einsum("ampq,atmq->atmp", self.relation_score[relation], key),
-                    torch.einsum("ampc,atmp->atmc", self.relation_message[relation], value),
-                )
-            related, message = by_kind[own_kind]
-            score = (query[i] * related).sum(-1) * self.scale
+        hidden = None if seen is None else ~seen.flatten(1).T[:, None, None]
+        kinds = kind[:wanted].tolist()
+        by_row: dict[int, Tensor] = {}
+        for own_kind in sorted(set(kinds)):
+            rows = [row for row, one in enumerate(kinds) if one == own_kind]
+            relation = own_kind * self.kinds + kind
+            related = torch.einsum("ampq,atmq->tmpa", self.relation_score[relation], key)
+            message = torch.einsum("ampc,atmp->tmac", self.relation_message[relation], value)
+            score = torch.matmul(query[rows].permute(1, 2, 0, 3), related) * self.scale
             if hidden is not None:
                 score = score.masked_fill(hidden, -torch.inf)
-            results.append((torch.softmax(score, dim=0)[..., None] * message).sum(0))
-        found = self._joined(self.out, torch.stack(results).flatten(2), kind)
+            attended = torch.matmul(torch.softmax(score, dim=-1).to(message.dtype), message)
+            by_row |= zip(rows, attended.unbind(2), strict=True)
+        results = torch.stack([by_row[row] for row in range(wanted)])
+        found = self._joined(self.out, results.flatten(2), kind)
         return x[:wanted] + self.dropout(found).unflatten(1, (height, width))
 
     def _per_kind(self, layers: nn.ModuleList, tokens: Tensor, kind: Tensor) -> Tensor:
