@@ -42,7 +42,7 @@ CHANGES: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Factors of DSRC alone: the teacher that fits, and changes of the recipe; all trainings are thinned with 0.3."""
 MAP_START, RESIDUAL_START = "alone-map", "alone-residual"
-"""Networks of single vehicles with layers that most methods lack: those of one map, and CoAlign's backbone."""
+"""Networks of single vehicles for methods that fuse one map, and for CoAlign's backbone of residual blocks."""
 LENGTHS = {"": 2000, "half as long": 1000, "three times as long": 6000}
 TAUGHT = "from the teacher's weights"
 SCALE_PARTS = 2
@@ -70,10 +70,8 @@ def rivals(score: Score, longest: int = DOUBLED[-1]) -> Iterator[Training]:
     first training have two more, DSRC and its twin four.
     """
     yield from _starts()
-    ones = ("augmentation.alone=1",)
-    yield Training(MAP_START, "max-map", "plain", "alone", 3000, RATE, settings=(*VALIDATED, *ones))
-    backbone = ('backbone="resnet"',)
-    yield Training(RESIDUAL_START, "no-collaboration", "plain", "alone", 3000, RATE, settings=(*VALIDATED, *backbone))
+    yield _alone(MAP_START, "max-map", "augmentation.alone=1")
+    yield _alone(RESIDUAL_START, "no-collaboration", 'backbone="resnet"')
     titles = {"attfuse": PLAIN, "dsrc": DSRC} | {name: name for name in RIVALS}
     trials = {method: [_length(method, DOUBLED[0], rate=rate) for rate in RATES] for method in titles}
     for both in trials.values():
@@ -157,9 +155,14 @@ def pairs(titles: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _starts() -> Iterator[Training]:
-    """Yield the network of single vehicles that all students start from, and the teacher."""
-    yield Training("alone", "no-collaboration", "plain", "unparked-plain-alone", 3000, RATE, settings=VALIDATED)
+    """Yield the network of single vehicles and the teacher."""
+    yield _alone("alone")
     yield _teacher("teacher")
+
+
+def _alone(name: str, method: str = "no-collaboration", *settings: str) -> Training:
+    """Return the training of a network of single vehicles; all of them begin with the same one, as far as it fits."""
+    return Training(name, method, "plain", "unparked-plain-alone", 3000, RATE, settings=(*VALIDATED, *settings))
 
 
 def _teacher(name: str, start: str = "unparked-teacher", settings: tuple[str, ...] = ()) -> Training:
