@@ -38,8 +38,6 @@ _PACE = {
     "brake": "hardest braking, m/s²",
     "harsh": "harsh",
 }
-BUSY = ("rilsa_2", "rilsa_4")
-"""Places with most boxes."""
 ALL_PARTS = "SDD + PCP + REC"
 FEATURES = (
     *("F-Cooper", "AttFuse (plain student)", "V2VNet", "V2X-ViT", "CoBEVT"),
@@ -119,7 +117,9 @@ def _counts() -> Iterator[tuple[str, str]]:
     yield "frames_parts", _only({row["frames"] for row in parts})
     yield "trainings_parts", _only({str(count) for count in _trainings(parts).values()})
     boxes = {place: int(row["boxes"]) for place, row in _table("places_twins").items()}
-    yield "busy_places_boxes", f"{100.0 * sum(map(boxes.__getitem__, BUSY)) / boxes['all, by drive']:.0f} %"
+    whole = boxes.pop("all, by drive")
+    busiest = sorted(boxes[place] for place in boxes if not place.startswith("all"))[-2:]
+    yield "busy_places_boxes", f"{100.0 * sum(busiest) / whole:.0f} %"
     main, eyes = _episodes("campaign"), _episodes("cooperation-detectors")
     yield "seeds_corrupted", str(len({one.seed for one in _of(main, ALONE, corrupted=True)}))
     yield "seeds_cooperation", str(len({one.seed for one in eyes}))
@@ -127,10 +127,14 @@ def _counts() -> Iterator[tuple[str, str]]:
 
 
 def _schedules() -> Iterator[tuple[str, str]]:
-    """Yield the steps of the twins and of the rivals' own layers, and the range of their grid."""
+    """Yield the steps of the twins, of the teacher that they start from and of rivals' layers, and the grid's range."""
     trained = {row["name"]: row for row in _rows(REPORT.parent / "trainings.csv")}
-    plain = trained["attfuse_s0"]
-    yield "steps_twins", f"{sum(int(one['steps']) for one in (plain, trained[plain['init']])):,}"
+    chain = [trained["attfuse_s0"]]
+    while start := chain[-1]["init"]:
+        chain.append(trained[start])
+    taught = next(row for row, one in enumerate(chain) if one["name"] == "teacher")
+    for name, part in (("twins", chain[:taught]), ("teacher", chain[taught:])):
+        yield f"steps_{name}", f"{sum(int(one['steps']) for one in part):,}"
     yield "steps_rivals", f"{int(trained['v2x-vit_s0']['steps']):,}"
     x0, y0, _, x1, y1, _ = RECIPES["small"]().model.grid.range_m
     yield "range_twins", f"{x1 - x0:.0f} m x {y1 - y0:.0f} m"

@@ -86,7 +86,7 @@ def find_drives(root: Path) -> list[Path]:
     Drives of sweeps are looked for where there are no others.
 
     Raises:
-        DataError: the folder is missing.
+        DataError: the folder is missing, or a file that is no scan.
     """
     root = Path(root)
     address = dairv2x.locate(root)
@@ -96,7 +96,7 @@ def find_drives(root: Path) -> list[Path]:
         return found
     if root.exists() and not root.is_dir():
         scans = f"a folder, or a scan *{', *'.join(ENDINGS)}"
-        raise DataError(complaint(root, "data", scans, f"a file *{root.suffix}" if root.suffix else "a file"))
+        raise DataError(complaint(root, "data", scans, root.name))
     if not root.is_dir():
         raise DataError(f"{root}: no such folder")
     below = [folder for pattern in ("*/", "*/*/") for folder in sorted(root.glob(pattern)) if dairv2x.is_tree(folder)]

@@ -73,7 +73,7 @@ _THINGS = ("building", "barrier", "natural.tree", "natural.tree_row", "highway.s
 """Roadside objects taken from a map, by tag key or by key and value."""
 
 _MOST_FAULTS = 20
-_NO_ROADS = "No edges loaded"
+_NO_ROADS = ("No edges loaded", "No nodes loaded")
 """What netconvert says where nothing is left to drive on."""
 _OFFSET = re.compile(r'<location netOffset="([^",]+),([^",]+)"')
 
@@ -167,10 +167,12 @@ def _from_osm(source: Path, kind: str, folder: Path, work: Path, side: TrafficSi
     try:
         run_tool("netconvert", options, net, str(source))
     except ScenarioError as refusal:
-        if _NO_ROADS not in str(refusal):
+        if not any(said in str(refusal) for said in _NO_ROADS):
             raise
         found = ", ".join(openstreetmap.highways_of(osm)) or "none"
-        raise ScenarioError(complaint(source, "highways", "roads for passenger cars, by SUMO's types", found)) from None
+        raise ScenarioError(
+            complaint(source, "highways", "roads open to passenger cars, by SUMO's types, with nodes", found)
+        ) from None
     if "<edge " not in net.read_text(encoding="utf-8"):
         # A street alone counts as isolated too.
         run_tool("netconvert", options | {"remove-edges.isolated": False}, net, str(source))

@@ -77,6 +77,7 @@ _COUNTRY = re.compile(
 )
 _PLACED_REFERENCE = re.compile(rb"<nd\b[^>]*\blat=")
 _ROOT = re.compile(rb"<([A-Za-z]\w*)")
+_COMMENT = re.compile(rb"<!--.*?(?:-->|$)", re.DOTALL)
 _HEAD = 1000
 """Bytes in which a file's first element is looked for."""
 _SIDE = re.compile(r"""k=["']driving_side["']\s+v=["'](left|right)["']""")
@@ -112,13 +113,13 @@ def in_order(osm: Path, source: Path, work: Path) -> Path:
     """Return an OSM XML file whose nodes come before its ways, sorted into a folder if need be.
 
     Raises:
-        ScenarioError: it has no nodes, such as a page that tells of an error, is a Lanelet2 map, or cannot be read.
+        ScenarioError: it is another document, such as a page that tells of an error, or a Lanelet2 map, or cannot be
+            read.
     """
     text = osm.read_bytes()
-    if b"<node" not in text and not _PLACED_REFERENCE.search(text):
-        root = _ROOT.search(text[:_HEAD])
-        found = f"<{root[1].decode('ascii')}> without any" if root else "none"
-        raise ScenarioError(complaint(source, "nodes", "those of an OpenStreetMap extract", found))
+    root = _ROOT.search(_COMMENT.sub(b"", text[:_HEAD]))
+    if root and root[1] != b"osm":
+        raise ScenarioError(complaint(source, "root", "<osm> of an OpenStreetMap extract", f"<{root[1].decode()}>"))
     if b'v="lanelet"' in text and b'k="highway"' not in text:
         expected = "an OpenStreetMap extract, with ways of highways"
         raise ScenarioError(complaint(source, "map", expected, "a Lanelet2 map; import it as OpenDRIVE (.xodr)"))

@@ -44,7 +44,7 @@ from dsrc.training.recipes import RECIPES
 from dsrc.training.run_folder import DETECTOR, RESULT
 from dsrc.training.train import train
 from sim.errors import SettingsError, UserError, complaint
-from sim.files import write_file
+from sim.files import file_sha256, write_file
 from studies.look import put_table
 from studies.rivals.questions import DOUBLED, QUESTIONS, Training, pairs, rivals
 from studies.shipped.train import STARTS
@@ -220,7 +220,7 @@ def done(name: str, options: argparse.Namespace) -> Path | None:
 
 
 def check_length(run: Training, options: argparse.Namespace) -> None:
-    """Check that a detector that is there was trained on as many frames as the plan asks."""
+    """Check that a detector that is there has the start of the plan, and was trained on as many frames as it asks."""
     if record := record_of(run.name, options):
         asked = run.recipe(options.share)
         wanted = asked.epochs * (asked.epoch_frames or 0)
@@ -228,6 +228,10 @@ def check_length(run: Training, options: argparse.Namespace) -> None:
             expected, hint = f"{wanted}, as --share {options.share:g} asks", "; another share has another folder"
             path = done(run.name, options) or options.kept / f"{run.name}.json"
             raise SettingsError(complaint(path, "frames of the training", expected, record["frames"], hint))
+        start = done(run.start, options) if run.start else None
+        if start and record.get("start") != file_sha256(start):
+            path = done(run.name, options) or options.kept / f"{run.name}.json"
+            raise SettingsError(complaint(path, "start", f"{file_sha256(start)} of {start}", record.get("start")))
 
 
 def record_of(name: str, options: argparse.Namespace) -> dict[str, Any] | None:
@@ -238,6 +242,7 @@ def record_of(name: str, options: argparse.Namespace) -> dict[str, Any] | None:
         return {
             "frames": recipe["epochs"] * recipe["epoch_frames"],
             "bfloat16": recipe["bfloat16"],
+            "start": None if meta["init"] is None else meta["init"]["sha256"],
             **{name: float(metrics[f"val/{name}"]) for name in ("ap_bev_50", "ap_bev_70")},
         }
     kept = options.kept / f"{name}.json" if options.kept else None

@@ -5,6 +5,7 @@ coordinates and intensities; those that it adds get these, their ring, and zeros
 or not finite, are no points: they stay in the table where they are.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,11 +45,18 @@ class Cloud:
 
     @classmethod
     def named(cls, where: Path | str, table: NDArray[np.void], scale: Scale | None = None) -> "Cloud":
-        """Return the cloud of a table by the names of its fields; DataError where a coordinate is missing or a list."""
+        """Return the cloud of a table by the names of its fields.
+
+        Raises:
+            DataError: a coordinate is missing; or it, the intensity or the ring is no number, or several.
+        """
         axes, intensity, ring = meaning(where, table.dtype.names or ())
-        for name in (*axes, intensity, ring):
-            if name is not None and table.dtype[name].shape:
-                raise DataError(complaint(where, f"COUNT of {name}", "1", table.dtype[name].shape[0]))
+        for name in filter(None, (*axes, intensity, ring)):
+            kind = table.dtype[name]
+            if kind.shape:
+                raise DataError(complaint(where, f"COUNT of {name}", "1", math.prod(kind.shape)))
+            if kind.kind not in "fiu":
+                raise DataError(complaint(where, f"type of {name}", "a number", str(kind)))
         return cls(table, axes, intensity, ring, scale)
 
     def __len__(self) -> int:

@@ -39,6 +39,7 @@ ENDINGS = (NUSCENES, ".bin", ".npy", ".pcd", ".ply")
 """Ends of the names of scans, the longest of those that fit first."""
 NUSCENES_SENSOR = "hdl-32e"
 """Preset of the LiDAR of nuScenes."""
+_NO_NAMES = "a file without names of columns"
 _LABEL_BITS = 0xFFFF
 _DECLARE = (
     f"declare those of other files by {option('columns')} x,y,z,intensity,...; points of 20 bytes, as nuScenes has "
@@ -103,9 +104,7 @@ def read_scan(path: Path, columns: Sequence[str] | None = None, scale: Scale | N
     if ending is None:
         raise DataError(complaint(path, "scan", f"a file *{', *'.join(ENDINGS)}", path.suffix or "no ending"))
     if columns is not None and ending in (".pcd", ".ply"):
-        raise DataError(
-            complaint(path, option("columns"), "a file without names of columns", f"*{ending}, which has them")
-        )
+        raise DataError(complaint(path, option("columns"), _NO_NAMES, f"*{ending}, which has them"))
     if ending == ".pcd":
         scan = _pcd(path)
     else:
@@ -205,6 +204,8 @@ def _rows(path: Path, content: bytes, columns: Sequence[str]) -> Scan:
 
 def _npy(path: Path, content: bytes, columns: Sequence[str] | None) -> Scan:
     rows = np.load(io.BytesIO(content), allow_pickle=False)
+    if rows.dtype.names and columns is not None:
+        raise DataError(complaint(path, option("columns"), _NO_NAMES, f"fields {' '.join(rows.dtype.names)}"))
     try:
         cloud = cloud_of(rows, columns=columns)
     except DataError as error:

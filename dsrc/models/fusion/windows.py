@@ -1,4 +1,4 @@
-"""Window attention over the cells of all agents, shared by CoBEVT and ERMVP."""
+"""Window attention over the cells of all agents, shared by CoBEVT, ERMVP and V2X-ViT."""
 
 import torch
 from torch import Tensor, nn
@@ -8,7 +8,10 @@ from torch.nn import functional
 
 
 class Dropout(nn.Dropout):
-    """Dropout by random bytes on a CPU, in a quarter of the time; the share is the nearest multiple of 1 / 256."""
+    """Dropout by random bytes on a CPU, in a quarter of the time; the share is the nearest multiple of 1 / 256.
+
+    Where that is 0 or 1, and on other devices, it is PyTorch's own.
+    """
 
     def forward(self, x: Tensor) -> Tensor:
         """Drop values in training, and scale the others up."""
@@ -80,13 +83,13 @@ class AgentWindows(nn.Module):
 def attention(query: Tensor, key: Tensor, value: Tensor, mask: Tensor) -> Tensor:
     """Return (G, heads, T, P) values by softmax of the scores of queries and keys, to which a mask is added.
 
-    In a training on a CPU it is written out: there PyTorch's own goes through single precision for a mask with a
-    gradient, and looks for queries without any key, which windows have none of.
+    In no row is all of the mask -inf. In a training on a CPU it is written out: there PyTorch's own goes through single
+    precision for a mask with a gradient, and looks for queries without any key.
     """
     if query.device.type != "cpu" or not torch.is_grad_enabled():
         return functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-    scores = torch.matmul(query * query.shape[-1] ** -0.5, key.transpose(-1, -2))
-    return torch.matmul(torch.softmax(scores.float() + mask, dim=-1).to(value.dtype), value)
+    scores = torch.matmul(query * query.shape[-1] ** -0.5, key.transpose(-1, -2)) + mask
+    return torch.matmul(torch.softmax(scores, dim=-1).to(value.dtype), value)
 
 
 def relative_place(agents: int, window: int) -> Tensor:

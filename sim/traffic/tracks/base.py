@@ -4,6 +4,7 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -170,7 +171,7 @@ def check_tracks(path: Path, recording: Recording) -> None:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise DataError(complaint(path, "id", "ids that differ", twice))
-    _check_metres(path, [one for one in recording.tracks if one.class_name != "pedestrian"])
+    _check_metres(path, recording.tracks)
     turns = [(one.name, turn) for one in recording.tracks if (turn := _askew_rad(one)) is not None]
     askew = [(name, turn) for name, turn in turns if turn > _ASKEW_RAD]
     if askew:
@@ -186,11 +187,12 @@ def check_tracks(path: Path, recording: Recording) -> None:
         )
 
 
-def _check_metres(path: Path, vehicles: Sequence[Track]) -> None:
-    """Check that vehicles, all through a file, are not within half the width of one, as places in degrees are."""
-    if len(vehicles) < 2:
+def _check_metres(path: Path, tracks: Sequence[Track]) -> None:
+    """Check that a file with two vehicles at a time reaches over half the width of one: in degrees it does not."""
+    vehicles = sorted((one for one in tracks if one.class_name != "pedestrian"), key=lambda one: one.time_s[0])
+    if not any(one.time_s[0] <= before.time_s[-1] for before, one in pairwise(vehicles)):
         return
-    extent = float(np.ptp(np.concatenate([one.center[:, :2] for one in vehicles]), axis=0).max())
+    extent = float(np.ptp(np.concatenate([one.center[:, :2] for one in tracks]), axis=0).max())
     if 0.0 < extent < 0.5 * min(one.size[1] for one in vehicles):
         found = f"{len(vehicles)} vehicles within {extent:.2g}"
         raise DataError(complaint(path, "x, y", "metres", found, "; are they in degrees?"))
@@ -249,8 +251,9 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
     """Return the traffic log of tracks, every `STEP_S` from the first sample on.
 
     Between two samples the place is interpolated, the heading by the shortest arc. A road user is away before its first
-    sample, after its last, in gaps of more than `GAP_S` and where it would be faster than `FASTEST_MPS`; each gap and
-    jump is logged as a warning. Ids are `FIRST_ID` and on, in the order of the file; names are those of the file.
+    sample, after its last and in gaps of more than `GAP_S`; between samples that it could join only faster than
+    `FASTEST_MPS` it is away too, and its motion is cut. Gaps and jumps are logged as warnings. Ids are `FIRST_ID` and
+    on, in the order of the file; names are those of the file.
 
     Args:
         path: of the file, for messages.
@@ -262,16 +265,16 @@ def to_log(path: Path, recording: Recording, about: dict | None = None) -> Traff
         raise DataError(complaint(path, "tracks", "at least one road user", "none"))
     first = min(float(one.time_s[0]) for one in recording.tracks)
     last = max(float(one.time_s[-1]) for one in recording.tracks)
+    apart = np.concatenate([np.diff(one.time_s) for one in recording.tracks])
+    usual = float(np.median(apart)) if len(apart) else 0.0
+    hint = "; is it in milliseconds, or a frame's number?" if usual > GAP_S + 1e-6 else ""
     if last - first > LONGEST_S:
         expected = f"seconds, at most {LONGEST_S:g} from first to last"
-        raise DataError(complaint(path, "time", expected, f"{last - first:g}"))
-    apart = [np.diff(one.time_s) for one in recording.tracks if len(one.time_s) > 1]
-    if apart and (usual := float(np.median(np.concatenate(apart)))) > GAP_S + 1e-6:
-        expected, hint = (
-            f"seconds, most samples at most {GAP_S:g} s apart",
-            "; is it in milliseconds, or a frame's number?",
+        raise DataError(complaint(path, "time", expected, f"{last - first:g}", hint))
+    if hint:
+        raise DataError(
+            complaint(path, "time", f"seconds, most samples at most {GAP_S:g} s apart", f"{usual:g} s", hint)
         )
-        raise DataError(complaint(path, "time", expected, f"{usual:g} s", hint))
     steps = math.floor((last - first) / STEP_S + 1e-6) + 1
     times = np.asarray(first + STEP_S * np.arange(steps), np.float64)
     sampled = [_sampled(path, one, times) for one in recording.tracks]
@@ -329,19 +332,27 @@ def _sampled(path: Path, one: Track, times: NDArray[np.float64]) -> _Sampled:
     there = (times >= one.time_s[0] - 1e-6) & (times <= one.time_s[-1] + 1e-6)
     took_s, way_m = np.diff(one.time_s), np.hypot(*np.diff(one.center[:, :2], axis=0).T)
     jumps = (way_m > _JUMP_M) & (way_m > FASTEST_MPS * took_s)
+    if jumps.any():
+        first_jump = int(np.argmax(jumps))
+        said = "%s: object '%s': %d jumps, the first of %.0f m from %.2f s to %.2f s: its motion is cut there"
+        between = one.time_s[first_jump], one.time_s[first_jump + 1]
+        _log.warning(said, path, one.name, int(jumps.sum()), way_m[first_jump], *between)
     cuts = np.flatnonzero((took_s > GAP_S + 1e-6) | jumps)
     for cut in cuts:
         start, end = one.time_s[cut : cut + 2]
-        what = f"a jump of {way_m[cut]:.0f} m" if jumps[cut] else "no samples"
-        _log.warning("%s: object '%s': %s from %.2f s to %.2f s: it is away", path, one.name, what, start, end)
+        if not jumps[cut]:
+            _log.warning("%s: object '%s': no samples from %.2f s to %.2f s: it is away", path, one.name, start, end)
         there &= (times <= start + 1e-6) | (times >= end - 1e-6)
+        # A step at a sample has its place, not one a rounding error of the time beyond it, on the way to the next.
+        for sample in (start, end):
+            times = np.where(np.abs(times - sample) <= 1e-6, sample, times)
     if not there.any():
         _log.warning("%s: object '%s': between two steps of %g s: it is left out", path, one.name, STEP_S)
     center = np.column_stack([np.interp(times, one.time_s, one.center[:, axis]) for axis in range(3)])
     yaw = np.asarray(wrap_angle(np.interp(times, one.time_s, np.unwrap(one.yaw))), np.float64)
     motion = np.zeros((len(times), 2, 2))
     known = np.flatnonzero(there)
-    part = np.searchsorted(one.time_s[cuts], times[known] - 1e-6)
+    part = np.searchsorted(one.time_s[cuts], times[known])
     for run in np.split(known, np.flatnonzero((np.diff(known) > 1) | (np.diff(part) > 0)) + 1):
         if len(run) > 1:
             motion[run, 0] = np.gradient(center[run, :2], STEP_S, axis=0)

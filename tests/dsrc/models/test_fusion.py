@@ -436,15 +436,24 @@ def test_attention_of_a_training_is_that_of_a_detection() -> None:
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
 
 
+def test_attention_in_half_precision_is_near_that_in_single() -> None:
+    torch.manual_seed(0)
+    heads = [torch.randn(6, 2, 64, 8, requires_grad=True) for _ in range(3)]
+    mask = torch.randn(1, 2, 64, 64)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = attention(*heads, mask)
+    assert found.dtype == torch.bfloat16
+    torch.testing.assert_close(found.float(), attention(*heads, mask), rtol=0.0, atol=0.02)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 1.0])
 def test_dropout_keeps_the_mean_and_drops_its_share(share: float) -> None:
     torch.manual_seed(0)
-    layer, x = Dropout(share), torch.ones(101, 997, requires_grad=True)
+    layer, x = Dropout(share), torch.ones(1999, 1001, requires_grad=True)
     y = layer(x)
-    kept = y != 0
     dropped = round(256 * share) / 256 if round(256 * share) else share
-    assert float((~kept).float().mean()) == pytest.approx(dropped, abs=0.005)
-    assert share == 1.0 or float(y.detach().mean()) == pytest.approx(1.0, abs=0.01)
+    assert float((y == 0).float().mean()) == pytest.approx(dropped, abs=0.0005 if dropped > share else 0.0004)
+    assert share == 1.0 or float(y.detach().mean()) == pytest.approx(1.0, abs=0.002)
     (gradient,) = torch.autograd.grad(y.sum(), x)
     assert torch.equal(gradient, y.detach())
     assert torch.equal(layer.eval()(x), x)

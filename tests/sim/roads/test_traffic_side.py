@@ -171,13 +171,13 @@ def test_ways_before_nodes_are_read_as_if_sorted(tmp_path: Path) -> None:
 
 
 def test_a_map_without_nodes_or_roads_says_what_it_has(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="nodes: expected those of an OpenStreetMap extract, found <html> without"):
+    with pytest.raises(ScenarioError, match="root: expected <osm> of an OpenStreetMap extract, found <html>"):
         converted(tmp_path, "<!DOCTYPE html>\n<html><body>429 Too Many Requests</body></html>")
     other, text = tmp_path / "other", crossing()
     other.mkdir()
     for kind in set(re.findall(r'<tag k="highway" v="(\w+)"', text)):
         text = text.replace(f'<tag k="highway" v="{kind}"/>', '<tag k="highway" v="cycleway"/>')
-    with pytest.raises(ScenarioError, match=r"highways: expected roads for passenger cars.* found cycleway"):
+    with pytest.raises(ScenarioError, match=r"highways: expected roads open to passenger cars.* found cycleway"):
         converted(other, text)
 
 

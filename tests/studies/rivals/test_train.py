@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from argparse import Namespace
@@ -15,12 +16,13 @@ from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.models.detector import Detector
 from dsrc.runs.lock import locked
 from sim.errors import DataError, SettingsError
-from sim.files import write_file
+from sim.files import file_sha256, write_file
 from studies.rivals import train
 from studies.rivals.questions import CHANGES, DSRC, PLAIN, QUESTIONS, RIVALS, STRONGEST, Training, pairs, parts, rivals
 from studies.shipped.train import STARTS
 from tests.commands import run_study, study
 from tests.dsrc.training.drive import frame
+from tests.paths import ROOT
 
 
 def plan(question: str) -> list[Training]:
@@ -63,8 +65,8 @@ def test_rivals_have_the_rate_and_length_that_are_best_for_each() -> None:
 def test_a_start_has_all_layers_of_a_method_but_those_of_its_fusion() -> None:
     runs = {run.name: run for run in plan("rivals")}
     starts = {run.method: run.start for run in runs.values() if run.title}
-    lengths = {runs[start].steps for start in starts.values()}
-    assert set(starts.values()) == {"alone", "alone-map", "alone-residual"} and len(lengths) == 1
+    assert set(starts.values()) == {"alone", "alone-map", "alone-residual"}
+    assert len({(runs[start].start, runs[start].steps, runs[start].rate) for start in starts.values()}) == 1
 
     def layers(run: Training) -> dict[str, torch.Size]:
         state = Detector(run.recipe().settings(run.stage)).state_dict()
@@ -203,7 +205,9 @@ def test_records_without_weights_choose_the_rate(tmp_path: Path) -> None:
         recipe = run.recipe(0.25)
         good = run.name.endswith("-slow") != (run.method == "late")
         frames = recipe.epochs * (recipe.epoch_frames or 0)
+        start = STARTS / f"{run.start}.pt"
         record = {"frames": frames, "bfloat16": True, "ap_bev_50": 0.7 if good else 0.6, "ap_bev_70": 0.5}
+        record |= {"start": file_sha256(start)} if start.is_file() else {}
         (tmp_path / f"{run.name}.json").write_text(json.dumps(record))
     options = ("--share", "0.25", "--longest", "1000", "--kept", str(tmp_path), "--out", str(tmp_path / "runs"))
     found = run_study("rivals.train", "rivals", *options, "--measure")
@@ -223,6 +227,17 @@ def test_a_kept_training_of_another_length_is_refused(tmp_path: Path) -> None:
         "train: studies/rivals/kept/alone.pt: frames of the training: expected 1200, as --share 0.1 asks, found 3000; "
         "another share has another folder\n"
     )
+
+
+def test_a_kept_training_from_another_start_is_refused(tmp_path: Path) -> None:
+    record = json.loads((ROOT / "studies/rivals/kept/attfuse-1000-0.json").read_text()) | {"start": "0" * 64}
+    shutil.copy(ROOT / "studies/rivals/kept/alone.pt", tmp_path)
+    (tmp_path / "attfuse-1000-0.json").write_text(json.dumps(record))
+    options = ("--share", "0.25", "--only", "attfuse-1000-0", "--kept", str(tmp_path), "--out", str(tmp_path / "runs"))
+    found = run_study("rivals.train", "rivals", *options)
+    assert found.returncode == 2
+    assert f"attfuse-1000-0.json: start: expected {file_sha256(tmp_path / 'alone.pt')} of" in found.stderr
+    assert found.stderr.endswith("found 0000000000000000000000000000000000000000000000000000000000000000\n")
 
 
 def test_trainings_of_two_precisions_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:

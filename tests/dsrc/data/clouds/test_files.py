@@ -262,6 +262,15 @@ def test_an_array_with_fields_has_the_columns_that_it_names(tmp_path: Path) -> N
         dsrc.corrupt(rows, "fog", columns=("x", "y", "z", "intensity", "ring"))
     with pytest.raises(DataError, match="fields: expected a field z"):
         dsrc.corrupt(rows[["x", "y"]], "fog")
+    with pytest.raises(DataError, match=r"1.npy: --columns: expected a file without names of columns"):
+        corrupted(tmp_path / "1.npy", columns="x,y,z")
+
+
+@pytest.mark.parametrize("kind", ["U8", "S8", "?", "c8", "M8[s]", "O"])
+def test_a_field_that_is_no_number_is_named(kind: str) -> None:
+    rows = np.zeros(3, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", kind)])
+    with pytest.raises(DataError, match=r"points: type of ring: expected a number"):
+        dsrc.corrupt(rows, "fog")
 
 
 @pytest.mark.parametrize("name", ["scan.csv", "scan.las", "scan"])

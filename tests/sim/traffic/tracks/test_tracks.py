@@ -190,7 +190,7 @@ def test_a_jump_is_named_and_gives_no_speed(tmp_path: Path, caplog: pytest.LogCa
     with caplog.at_level(logging.WARNING):
         log = to_log(path, *read_tracks(path))
     (line,) = [record.getMessage() for record in caplog.records]
-    assert "object 'a': a jump of 501 m from 0.40 s to 0.50 s" in line
+    assert "object 'a': 1 jumps, the first of 501 m from 0.40 s to 0.50 s: its motion is cut there" in line
     assert all("a" in log[step].name for step in range(10))
     np.testing.assert_allclose([log[step].velocity[0, 0] for step in range(10)], 10.0, atol=1e-6)
 
@@ -201,9 +201,29 @@ def test_places_in_degrees_and_times_in_milliseconds_are_refused(tmp_path: Path)
     path.write_text(HEADER + "\n".join(f"{t},{name},{48 + 1e-4 * t},{11 + 5e-5 * k},0,4,2,car" for t, name, k in rows))
     with pytest.raises(DataError, match="x, y: expected metres, found 2 vehicles within 9e-05; are they in degrees"):
         read_tracks(path)
-    path.write_text(HEADER + "\n".join(f"{1e3 * t:.0f},{name},{10 * t},{5 * k},0,4,2,car" for t, name, k in rows))
-    with pytest.raises(DataError, match=r"time: expected seconds, .* found 100 s; is it in milliseconds"):
-        to_log(path, *read_tracks(path))
+    for steps, told in ((10, "most samples at most 1 s apart, found 100 s"), (100, "at most 3600 .* found 9900")):
+        path.write_text(HEADER + "\n".join(f"{100 * k},a,{k},0,0,4,2,car" for k in range(steps)))
+        with pytest.raises(DataError, match=rf"time: expected seconds, {told}; is it in milliseconds"):
+            to_log(path, *read_tracks(path))
+
+
+def test_a_standing_car_that_gets_a_new_id_is_in_metres(tmp_path: Path) -> None:
+    path = tmp_path / "parked.csv"
+    path.write_text(HEADER + "\n".join(f"{0.1 * k:.1f},{'ab'[k > 4]},{0.003 * k},0,0,4,2,car" for k in range(10)))
+    assert len(read_tracks(path)[0].tracks) == 2
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 0.03, 1.6e9])
+def test_no_step_lies_between_the_places_of_a_jump(tmp_path: Path, begin_s: float) -> None:
+    path = tmp_path / "origin.csv"
+    rows = [f"{begin_s + 0.1 * k:.6f},a,{(3e5 + k, 0)[k == 7]},{(5e6, 0)[k == 7]},0,4,2,car" for k in range(12)]
+    rows.append(f"{begin_s + 0.75:.6f},b,3e5,5e6,0,4,2,car\n{begin_s + 1.15:.6f},b,3e5,5e6,0,4,2,car")
+    path.write_text(HEADER + "\n".join(rows))
+    log = to_log(path, *read_tracks(path))
+    places = [log[step].boxes.center[list(log[step].name).index("a")] for step in range(12)]
+    assert all(np.hypot(*place[:2]) < 1.0 or abs(place[1] - 5e6) < 1.0 for place in places)
+    speed = [log[step].velocity[list(log[step].name).index("a"), 0] for step in range(12)]
+    np.testing.assert_allclose(np.delete(speed, 7), 10.0, atol=1e-3)
 
 
 def test_heights_are_kept_and_the_ground_is_where_they_stand(tmp_path: Path) -> None:
