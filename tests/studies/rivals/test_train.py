@@ -206,8 +206,8 @@ def test_records_without_weights_choose_the_rate(tmp_path: Path) -> None:
         good = run.name.endswith("-slow") != (run.method == "late")
         frames = recipe.epochs * (recipe.epoch_frames or 0)
         start = STARTS / f"{run.start}.pt"
-        record = {"frames": frames, "bfloat16": True, "ap_bev_50": 0.7 if good else 0.6, "ap_bev_70": 0.5}
-        record |= {"start": file_sha256(start)} if start.is_file() else {}
+        record: dict[str, object] = {"frames": frames, "bfloat16": True, "ap_bev_50": 0.7 if good else 0.6}
+        record |= {"ap_bev_70": 0.5, "start": file_sha256(start) if start.is_file() else None}
         (tmp_path / f"{run.name}.json").write_text(json.dumps(record))
     options = ("--share", "0.25", "--longest", "1000", "--kept", str(tmp_path), "--out", str(tmp_path / "runs"))
     found = run_study("rivals.train", "rivals", *options, "--measure")
