@@ -306,7 +306,7 @@ def test_generate_takes_the_folder(folder: Path, tmp_path: Path) -> None:
 
 BROKEN = {
     "cut.osm": ("<osm><node", "netconvert refuses it"),
-    "empty.osm": ('<osm version="0.6"></osm>', "netconvert refuses it"),
+    "empty.osm": ('<osm version="0.6"></osm>', "highways: expected roads open to passenger cars"),
     "cut.xodr": ("<OpenDRIVE>", "netconvert refuses it"),
     "cut.net.xml": ("<net><edge", "netconvert refuses it"),
     "text.osm.pbf": ("no such thing", "not a readable .osm.pbf file"),
