@@ -54,7 +54,7 @@ from dsrc.training.recipes import RECIPES, Augmentation, Recipe, of_method
 from dsrc.training.resident.batch import ResidentBatches
 from dsrc.training.resident.plan import PlanCollate, ResidentSet
 from dsrc.training.resident.store import ResidentPoints
-from sim.errors import SettingsError, complaint
+from sim.errors import SettingsError, UserError, complaint
 
 _AS_IT_IS = Augmentation(flip=False, rotation_deg=0.0, scale=0.0, random_ego=False, dropout=0.0)
 METHODS = {"plain": "attfuse", "dsrc": "dsrc", "plain_alone": "no-collaboration", "dsrc_alone": "dsrc-alone"}
@@ -309,4 +309,8 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        tyro.cli(main)
+    except UserError as error:
+        sys.stderr.write(f"training: {error}\n")
+        raise SystemExit(2) from None
