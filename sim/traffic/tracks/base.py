@@ -334,7 +334,7 @@ def _sampled(path: Path, one: Track, times: NDArray[np.float64]) -> _Sampled:
     jumps = (way_m > _JUMP_M) & (way_m > FASTEST_MPS * took_s)
     if jumps.any():
         first_jump = int(np.argmax(jumps))
-        said = "%s: object '%s': %d jumps, the first of %.0f m from %.2f s to %.2f s: its motion is cut there"
+        said = "%s: object '%s': jumps, %d in all, the first of %.0f m from %.2f s to %.2f s: its motion is cut there"
         between = one.time_s[first_jump], one.time_s[first_jump + 1]
         _log.warning(said, path, one.name, int(jumps.sum()), way_m[first_jump], *between)
     cuts = np.flatnonzero((took_s > GAP_S + 1e-6) | jumps)

@@ -190,7 +190,7 @@ def test_a_jump_is_named_and_gives_no_speed(tmp_path: Path, caplog: pytest.LogCa
     with caplog.at_level(logging.WARNING):
         log = to_log(path, *read_tracks(path))
     (line,) = [record.getMessage() for record in caplog.records]
-    assert "object 'a': 1 jumps, the first of 501 m from 0.40 s to 0.50 s: its motion is cut there" in line
+    assert "object 'a': jumps, 1 in all, the first of 501 m from 0.40 s to 0.50 s: its motion is cut there" in line
     assert all("a" in log[step].name for step in range(10))
     np.testing.assert_allclose([log[step].velocity[0, 0] for step in range(10)], 10.0, atol=1e-6)
 
