@@ -25,9 +25,10 @@ from dsrc.detectors.texts import SHIPPED_DETECTOR
 from dsrc.evaluation.config import Benchmark, DatasetSpec, MethodSpec
 from dsrc.evaluation.runner import run_plan
 from dsrc.models.detector import Detector
+from dsrc.models.device import BFLOAT16
 from dsrc.models.layers.encoder import PillarMap
 from dsrc.models.storage.checkpoint import load_joined, save_detector
-from dsrc.models.storage.deploy import BFLOAT16, ENGINES, FusedConv, deployed
+from dsrc.models.storage.deploy import ENGINES, FusedConv, deployed
 from sim.files import file_sha256, write_file
 from studies.look import put_table
 

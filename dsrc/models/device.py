@@ -8,6 +8,9 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
+BFLOAT16 = torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+"""Whether the processor computes convolutions in bfloat16."""
+
 
 class Movable:
     """Base of dataclasses of tensors, and of other such dataclasses."""

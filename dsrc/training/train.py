@@ -20,6 +20,7 @@ from msgspec.structs import replace
 
 from dsrc.data.drives import drive_hashes, list_drives
 from dsrc.models.detector import Detector
+from dsrc.models.layers.half_products import half_products
 from dsrc.models.storage.checkpoint import load_detector, save_detector
 from dsrc.options.detection import TrainOptions
 from dsrc.options.fields import takes_fields
@@ -183,7 +184,7 @@ def train(
             why = "no frame is held out" if validate is None else "a drive of the validation is trained on"
             LOG.warning("%s: %s: average precisions are those on training frames, train/ap_...", out, why)
         selection = WeightSelection(recipe, folder.best)
-        with _without_advice():
+        with _without_advice(), half_products(recipe.bfloat16):
             trainer = _trainer(recipe, folder, processes, [selection, *callbacks])
             if trainer.is_global_zero:
                 folders = {"data": str(data.resolve()), "validate": validate and str(validate.resolve())}

@@ -9,9 +9,10 @@ import msgspec
 
 from dsrc.data.drives import drive_hashes, list_drives
 from dsrc.models.detector import Detector
+from dsrc.models.device import BFLOAT16
 from dsrc.models.inputs.batch import Batch
 from dsrc.models.storage.checkpoint import load_detector, read_meta
-from dsrc.models.storage.deploy import BFLOAT16, ENGINES
+from dsrc.models.storage.deploy import ENGINES
 from dsrc.runs.provenance import versions
 from dsrc.training.datamodule import DetectionData
 from dsrc.training.recipes import Recipe, of_today

@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from dsrc.models.detector import Detector
+from dsrc.models.device import BFLOAT16
 from dsrc.models.layers.backbones import BasicBlock, Res2Block, Res2Net
 from dsrc.models.layers.blocks import Decoder
 from dsrc.models.layers.conv_norm import ConvSequence
@@ -33,8 +34,6 @@ from sim.files import file_sha256
 from sim.machine import keep_memory
 
 LOG = logging.getLogger(__name__)
-BFLOAT16 = torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
-"""Whether the processor computes convolutions in bfloat16."""
 FLOAT32_ONLY = frozenset({"509498e29b56c2efc7716c63896580ae2ed2e97270341f11e97f3f6bf8cf5349"})
 """SHA-256 of shipped detector files whose average precision changes more in bfloat16 than `studies/bf16_gate.py`
 allows: `small-dsrc-vulnerable.pt`."""

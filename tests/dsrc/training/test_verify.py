@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from dsrc.cli.main import run as cli
+from dsrc.models.device import BFLOAT16
 from dsrc.models.storage.checkpoint import load_detector, read_meta, save_detector
-from dsrc.models.storage.deploy import BFLOAT16
 from dsrc.training.train import train
 from dsrc.training.verify import agree, runs_in, verify
 from sim.errors import CheckpointError, DataError

@@ -12,10 +12,11 @@ from msgspec.structs import replace
 from torch import nn
 
 from dsrc.models.detector import Detector
+from dsrc.models.device import BFLOAT16
 from dsrc.models.fusion import FUSIONS, AgentLayout
 from dsrc.models.inputs.batch import pillars_of
 from dsrc.models.layers.encoder import PillarEncoder, PillarMap, Pillars
-from dsrc.models.storage.deploy import BFLOAT16, ENGINES, FusedConv, FusedEncoder, deployed, engine_for
+from dsrc.models.storage.deploy import ENGINES, FusedConv, FusedEncoder, deployed, engine_for
 from dsrc.training.recipes import debug
 from sim.errors import SettingsError
 from sim.files import file_sha256
