@@ -47,6 +47,7 @@ from benchmarks.reading import SAMPLES, make_frame
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.models.detector import Detector
 from dsrc.models.inputs.batch import Batch
+from dsrc.models.layers.half_products import half_products
 from dsrc.training.datamodule import Collate, DetectionData
 from dsrc.training.losses import total
 from dsrc.training.module import DetectionModule
@@ -55,6 +56,7 @@ from dsrc.training.resident.batch import ResidentBatches
 from dsrc.training.resident.plan import PlanCollate, ResidentSet
 from dsrc.training.resident.store import ResidentPoints
 from sim.errors import SettingsError, UserError, complaint
+from sim.machine import keep_memory
 
 _AS_IT_IS = Augmentation(flip=False, rotation_deg=0.0, scale=0.0, random_ego=False, dropout=0.0)
 METHODS = {"plain": "attfuse", "dsrc": "dsrc", "plain_alone": "no-collaboration", "dsrc_alone": "dsrc-alone"}
@@ -287,6 +289,7 @@ def main(
     if device == "cpu" and sync_debug:
         raise SettingsError(complaint("benchmark", "--sync-debug", "--device cuda", device))
     torch.set_num_threads(1)
+    keep_memory()
     resident = device != "cpu" if resident is None else resident
     steps = make_steps(replace(RECIPES[recipe](), bfloat16=bfloat16), device, resident, rivals)
     for step in steps.values():
@@ -295,13 +298,14 @@ def main(
             step.check_waits()
             step.clock.seconds.clear()
     rounds, keep = (3, 2) if quick else (15, 7)
-    timings = measure(steps, rounds=rounds, keep=keep, sample_s=0.0)
+    with half_products(bfloat16):
+        timings = measure(steps, rounds=rounds, keep=keep, sample_s=0.0)
+        busy = steps["dsrc"].busy(trace) if device != "cpu" or trace is not None else None
     show(Console(width=160, highlight=False), steps, timings)
     others = float(np.median([timing.load for timing in timings.values()]))
     facts: dict[str, Any] = {"samples": SAMPLES, "bfloat16": bfloat16, "recipe": recipe, "device": device}
     facts["resident"] = resident
     facts |= {"threads": 1, "cores": os.cpu_count()}
-    busy = steps["dsrc"].busy(trace) if device != "cpu" or trace is not None else None
     if device != "cpu":
         facts["busy"] = round(busy or 0.0, 3)
         facts |= {f"wall_ms_{name}": round(1e3 * timing.wall_s, 1) for name, timing in timings.items()}
