@@ -1,7 +1,7 @@
 """Products of bfloat16 tensors on a CPU without bfloat16: at the speed of float32, with the numbers of one that has it.
 
-PyTorch computes them there in loops that take eight times as long as those of float32, and sum in bfloat16. Through float32
-the products are exact, the sums are of float32 and the result is rounded once, as with AVX512-BF16 and AMX.
+PyTorch computes them there in loops that take eight times as long as those of float32, and sum in bfloat16. Through
+float32 the products are exact, the sums are of float32 and the result is rounded once, as with AVX512-BF16 and AMX.
 """
 
 import warnings
