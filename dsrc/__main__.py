@@ -79,6 +79,10 @@ def _outcome(args: list[str] | None) -> tuple[object, str]:
         return leaving.code, ""
     except UserError as error:
         return 2, f"dsrc: {error}\n"
+    except RuntimeError as error:
+        if not str(error).startswith("Symlink loop"):  # of Path.resolve, below Python 3.13
+            raise
+        return 2, f"dsrc: {error}\n"
     except OSError as error:
         lost = _lost(sys.stdout)
         if lost == errno.EPIPE:

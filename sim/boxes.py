@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim.errors import DataError, complaint
 from sim.geometry import pose_angles, pose_matrix, transform_points, wrap_angle
 from sim.rows import Rows, stacked
 
@@ -23,6 +25,15 @@ VULNERABLE = ("pedestrian", "bicycle", "motorcycle")
 _CORNER_SIGNS = np.array(
     [[x, y, z] for z in (-0.5, 0.5) for x, y in ((0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5))]
 )
+_TURN_RAD = 2.0 * np.pi + 1e-3
+"""Largest heading in radians: a whole turn, rounded up."""
+
+
+def check_radians(where: Path | str, field: str, yaw: NDArray[np.float64]) -> None:
+    """Raise DataError for a heading beyond a whole turn, which is in degrees; NaN passes."""
+    beyond = yaw[np.abs(yaw) > _TURN_RAD]
+    if len(beyond):
+        raise DataError(complaint(where, field, "radians within 2 pi", f"{beyond[0]:g}", "; is it in degrees?"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,10 +57,13 @@ def read_bytes(path: Path, what: str, error: type[UserError] = DataError, most: 
 
 
 def read_text(path: Path, what: str, error: type[UserError] = DataError, most: int = LARGEST_TEXT_BYTES) -> str:
-    """Return the text of a file in UTF-8 with universal line ends; raises as `read_bytes`, and for other bytes."""
+    """Return the text of a file in UTF-8 with universal line ends, without the mark that some editors put before it.
+
+    It raises as `read_bytes`, and for other bytes.
+    """
     content = read_bytes(path, what, error, most)
     try:
-        text = content.decode("utf-8")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise error(f"{path}: expected UTF-8 text, found other bytes") from None
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text

@@ -1,5 +1,6 @@
 """JSON of known structure: read into typed structs; an error names file and field of a wrong value."""
 
+import codecs
 import re
 from pathlib import Path
 from typing import TypeVar
@@ -29,7 +30,7 @@ def decode_json(path: Path, content: bytes, kind: type[T]) -> T:
     """Return JSON that a file holds; raises as `read_json`."""
     with parsing(path, "JSON file"):
         try:
-            return msgspec.json.decode(content, type=kind, strict=False)
+            return msgspec.json.decode(content.removeprefix(codecs.BOM_UTF8), type=kind, strict=False)
         except msgspec.ValidationError as error:
             raise DataError(_explained(path, str(error))) from None
 

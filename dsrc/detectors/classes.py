@@ -18,7 +18,7 @@ from dsrc.detectors.answers import checked
 from dsrc.detectors.texts import SHIPPED_DETECTOR
 from dsrc.ops.detections import Detections
 from sim.boxes import CLASSES, VEHICLES
-from sim.errors import SettingsError, complaint, warn_deprecated
+from sim.errors import SettingsError, complaint, raised_text, warn_deprecated
 from sim.kept.code_hash import sources_hash
 
 _NO_SOURCE = uuid.uuid4().hex
@@ -52,6 +52,8 @@ class OwnDetector:
         elif hasattr(settings, "request"):
             self.settings = settings
         else:
+            if not any(hasattr(settings, field.name) for field in fields(SampleRequest)):
+                raise SettingsError(complaint(self._where, "settings", "dsrc.SampleRequest", type(settings).__name__))
             warn_deprecated("detector.settings without request", "dsrc.SampleRequest")
             given: dict[str, Any] = {
                 field.name: getattr(settings, field.name, field.default) for field in fields(SampleRequest)
@@ -62,10 +64,14 @@ class OwnDetector:
         """Detect in one sample, best first.
 
         Raises:
+            RuntimeError: the detector asks for the end of the process.
             TypeError: the detector returns something else than `Detections`.
             DataError: a number of these is not finite or out of its range.
         """
-        return checked(self._detector.detect(sample), self._where)
+        try:
+            return checked(self._detector.detect(sample), self._where)
+        except SystemExit as error:  # or the command would end with its code, as if all were done
+            raise RuntimeError(f"{self._where}.detect: {raised_text(error)}") from None
 
 
 @cache

@@ -2,7 +2,8 @@
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from dsrc.data.drives import Drive, labelled_frames
 from dsrc.data.sample import DetectorSettings, Sample, SampleDetector, SampleRequest, counted, first_agents, make_sample
+from dsrc.detectors.classes import OwnDetector
 from dsrc.evaluation.detection_table import DetectionTable, join_tables, one_frame, points_left, points_table
 from dsrc.evaluation.listener import Listener, fabricated, lies
 from dsrc.evaluation.metrics.ap import Matches, join_matches, match_frames
@@ -21,7 +23,7 @@ from dsrc.messages.message import lie_counts, tells_boxes
 from dsrc.models.channel import Receiver
 from sensors.corruptions import Condition, drive_seed, ego_of
 from sensors.frame import Frame
-from sim.errors import DataError, complaint
+from sim.errors import DataError, UserError, complaint, raised_text
 from sim.radio import ChannelSpec, Link
 
 _SENSOR_S = 0.1
@@ -140,11 +142,12 @@ def evaluate_drive(
                     sample, links = receivers[key].receive(heard, i, sample, grid)
                     record.traffic.append(_traffic(links))
                 start = time.perf_counter()
-                if listener is None:
-                    found = method.detector.detect(sample)
-                else:
-                    found, told = listener.detect(sample, links, i)
-                    record.told.append(lie_counts(told))
+                with _own_failures(method, f"{reader.drive}: frame {i}"):
+                    if listener is None:
+                        found = method.detector.detect(sample)
+                    else:
+                        found, told = listener.detect(sample, links, i)
+                        record.told.append(lie_counts(told))
                 record.seconds.append(saying_s + time.perf_counter() - start)
                 judged = found[counted(found.boxes, method.detector.settings.request.judged_m, whole.region)]
                 points = points_table(recorded[0], left, whole.agent_ids, sample.boxes.object_id)
@@ -153,6 +156,21 @@ def evaluate_drive(
                 record.frames.append(one_frame(i, index, ego_id, judged, sample.boxes, points, share))
             count_frame()
     return {key: record.result() for key, record in records.items()}
+
+
+@contextmanager
+def _own_failures(method: Method, where: str) -> Iterator[None]:
+    """Turn whatever a detector of one's own raises into one line."""
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        if not isinstance(method.detector, OwnDetector):
+            raise
+        raise DataError(
+            complaint(where, f"detector '{method.detector.name}'", "detections", raised_text(error))
+        ) from None
 
 
 def receiver_of(

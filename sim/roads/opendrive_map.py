@@ -49,6 +49,8 @@ class OpenDriveMap:
         for road, things in self._things:
             road.remove(things)
         self._drop_links_to_nowhere()
+        for road in self.root.iter("road"):
+            _limit_lanes(road)
 
     def _drop_links_to_nowhere(self) -> None:
         """Drop links to roads that the file lacks, as one cut out of a larger map has them."""
@@ -124,6 +126,42 @@ class OpenDriveMap:
         if placeless:
             log.warning("%s: left out %d x object without a usable place or size", self._source.name, placeless)
         return "".join(rows)
+
+
+_FOR_VEHICLES = frozenset(
+    "driving entry exit onRamp offRamp connectingRamp slipLane bidirectional bus taxi HOV mwyEntry mwyExit".split()
+)
+"""Types of lanes that the speed limit of their road is for."""
+
+
+def _limit_lanes(road: ET.Element) -> None:
+    """Write the speed limits of a road's types into those of its lanes that have none: netconvert reads lanes alone."""
+    limits = sorted(
+        ((_number(kind, "s"), limit) for kind in road.findall("type") if (limit := kind.find("speed")) is not None),
+        key=lambda pair: pair[0],
+    )
+    for section in road.iterfind("lanes/laneSection") if limits else ():
+        start = _number(section, "s")
+        before = [limit for s, limit in limits if s <= start]
+        within = [(s - start, limit) for s, limit in limits if s > start]
+        for lane in section.iterfind("*/lane"):
+            if lane.get("type") in _FOR_VEHICLES and lane.find("speed") is None:
+                for offset, limit in [(0.0, one) for one in before[-1:]] + within[: 0 if before else 1]:
+                    if _is_number(limit.get("max", "")):
+                        given = {
+                            "sOffset": f"{offset:g}",
+                            "max": limit.get("max", ""),
+                            "unit": limit.get("unit", "m/s"),
+                        }
+                        ET.SubElement(lane, "speed", given)
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a limit is one: it may be "no limit" or "undefined"."""
+    try:
+        return float(text) > 0.0
+    except ValueError:
+        return False
 
 
 def _swap_sides(road: ET.Element) -> None:

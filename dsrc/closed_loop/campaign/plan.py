@@ -44,7 +44,10 @@ LOG = logging.getLogger(__name__)
 OF_RADIO = ("channel", "loss", "delay_s", "pose_error")
 """Fields of a campaign that say how messages arrive."""
 
-Seeds = Annotated[int, Meta(ge=1)] | Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
+Seeds = (
+    Annotated[int, Meta(ge=1, le=1_000_000)]
+    | Annotated[tuple[Annotated[int, Meta(ge=0, le=2**63 - 1)], ...], Meta(min_length=1)]
+)
 _Names = Annotated[tuple[str, ...], Meta(min_length=1)]
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dsrc.data.clouds.columns import has_return, meaning
+from dsrc.data.clouds.columns import FARTHEST_M, has_return, meaning
 from dsrc.data.clouds.intensity import Intensities, Scale, from_unit, to_unit
 from sensors.corruptions.physics.receiver import DEFAULT_REFLECTIVITY
 from sensors.corruptions.physics.rings import estimate_rings
@@ -82,6 +82,11 @@ class Cloud:
         table = self.table[row]
         with np.errstate(over="ignore"):  # what is beyond float32 is refused where points are corrupted
             points = np.stack([table[name] for name in self.axes], axis=1).astype(np.float32)
+        reach = np.abs(points).max(axis=1, initial=0.0)
+        if len(far := np.flatnonzero((reach > FARTHEST_M) & (reach < np.inf))):
+            hint = "; points are in the sensor's frame: subtract its place from those of a map"
+            found = " ".join(f"{value:g}" for value in points[far[0]].tolist())
+            raise DataError(complaint("points", "x y z", f"at most {FARTHEST_M:g} m", found, hint))
         ids = _FIRST_ROW - row if on_vehicle is None else np.where(on_vehicle[row], row, _FIRST_ROW - row)
         columns: dict[str, Any] = {"intensity": self._unit(self._scale)[row], "object_id": ids}
         ring = self._ring_from_top(table, spec)

@@ -14,7 +14,7 @@ NUSCENES = (*KITTI, "ring")
 
 _INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "scalar_intensity", "i")
 _RING = ("ring", "laser_id", "channel", "scalar_ring")
-_FARTHEST_M = 1e4
+FARTHEST_M = 1e4
 """Farthest coordinate; a time stamp or the bits of a whole number are beyond, or are no number at all."""
 _NEAR_M, _NEAR_SHARE, _SCENE_M = 2.0, 0.99, 3.0
 """Rows that are so near, so many of them, while the median of the others is farther: shares, colours, normals."""
@@ -68,10 +68,10 @@ def check_values(path: Path, table: NDArray[np.void]) -> None:
         DataError: they are not.
     """
     axes, intensity, _ = meaning(path, table.dtype.names or ())
-    points = np.stack([table[axis] for axis in axes], axis=1).astype(np.float64)
     with np.errstate(invalid="ignore"):
+        points = np.stack([table[axis] for axis in axes], axis=1).astype(np.float64)
         bad = np.flatnonzero(table[intensity] < 0) if intensity is not None else np.zeros(0, int)
-        far = np.flatnonzero((np.abs(points) > _FARTHEST_M).any(axis=1))
+        far = np.flatnonzero((np.abs(points) > FARTHEST_M).any(axis=1))
     names = ",".join(map(unpadded, table.dtype.names or ()))
     hint = f"; declare the columns of a point by {option('columns')} {names},... of dsrc corrupt, or in scans.toml"
     if len(bad):
@@ -79,7 +79,7 @@ def check_values(path: Path, table: NDArray[np.void]) -> None:
         raise DataError(complaint(path, f"intensity of columns {names}", "at least 0", found, hint))
     if len(far):
         found = f"{points[far[0]].tolist()} in row {far[0]}"
-        raise DataError(complaint(path, f"x y z of columns {names}", f"at most {_FARTHEST_M:g} m", found, hint))
+        raise DataError(complaint(path, f"x y z of columns {names}", f"at most {FARTHEST_M:g} m", found, hint))
     for parts in range(2, _MOST_PARTS + 1):
         for part in range(1, parts):
             if len(points) % parts == 0 and (odd := _oddity(points[::parts], points[part::parts])):

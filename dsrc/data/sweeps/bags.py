@@ -289,6 +289,10 @@ def _decoded_cloud(path: Path, message: Message) -> tuple[str, NDArray[np.void]]
         fields = [(field["name"], field["offset"], _FOXGLOVE_TYPES[field["type"]], 1) for field in cloud["fields"]]
         data, stride, order = base64.b64decode(cloud["data"]), int(cloud["point_stride"]), "<"
         rows, row_bytes, frame_id = 1, len(data), cloud["frame_id"]
+        if _is_moved(cloud.get("pose")):
+            raise DataError(
+                complaint(path, f"{message.topic}: pose", "none: transforms place the cloud", cloud["pose"])
+            )
     else:
         ros = _store().deserialize_cdr(message.content, message.kind)
         fields = [(field.name, field.offset, _ROS_TYPES[field.datatype], field.count) for field in ros.fields]
@@ -307,7 +311,15 @@ def _decoded_cloud(path: Path, message: Message) -> tuple[str, NDArray[np.void]]
     dtype = np.dtype(
         {"names": names, "offsets": offsets, "formats": [f"{order}{kind}" for kind in kinds], "itemsize": stride}
     )
-    return str(frame_id), np.frombuffer(data, dtype)
+    return str(frame_id).lstrip("/"), np.frombuffer(data, dtype)
+
+
+def _is_moved(pose: Any) -> bool:
+    """Return whether a pose of Foxglove's is another than that of its frame."""
+    if not pose:
+        return False
+    place, turn = pose.get("position") or {}, pose.get("orientation") or {}
+    return any(place.get(axis, 0.0) for axis in "xyz") or any(turn.get(axis, 0.0) for axis in "xyz")
 
 
 def _transforms(message: Message) -> Iterator[tuple[str, str, int, list[float], list[float]]]:
@@ -316,7 +328,7 @@ def _transforms(message: Message) -> Iterator[tuple[str, str, int, list[float], 
         for one in message.content["transforms"]:
             stamp = int(one["timestamp"]["sec"]) * 10**9 + int(one["timestamp"]["nsec"])
             turn, place = [one["rotation"][k] for k in "wxyz"], [one["translation"][k] for k in "xyz"]
-            yield one["child_frame_id"], one["parent_frame_id"], stamp, turn, place
+            yield one["child_frame_id"].lstrip("/"), one["parent_frame_id"].lstrip("/"), stamp, turn, place
         return
     for one in _store().deserialize_cdr(message.content, message.kind).transforms:
         stamp = one.header.stamp.sec * 10**9 + one.header.stamp.nanosec
@@ -334,7 +346,8 @@ def _cubes(message: Message) -> Iterator[tuple[int, Cube]]:
             for cube in entity["cubes"]:
                 pose, size = cube["pose"], [cube["size"][k] for k in "xyz"]
                 turn, place = [pose["orientation"][k] for k in "wxyz"], [pose["position"][k] for k in "xyz"]
-                yield stamp, (int(entity["id"]), str(facts.get("class", "")), place, turn, size, entity["frame_id"])
+                name, frame_id = str(facts.get("class", "")), entity["frame_id"].lstrip("/")
+                yield stamp, (int(entity["id"]), name, place, turn, size, frame_id)
         return
     for one in _store().deserialize_cdr(message.content, message.kind).markers:
         if one.type != _CUBE or one.action != 0 or one.ns not in CLASSES:
@@ -391,5 +404,8 @@ def _of_foxglove(path: Path, topics: tuple[str, ...] | None, time_ns: int | None
     with path.open("rb") as file:
         for schema, channel, message in _mcap_reader(file).iter_messages(topics=topics, **span):
             if schema is not None and schema.name in (*_CLOUDS, *_TRANSFORMS, *_BOXES):
+                if channel.message_encoding != "json":
+                    expected = "messages in json, the one encoding of Foxglove's that is read"
+                    raise DataError(complaint(path, channel.topic, expected, channel.message_encoding or "none"))
                 content = msgspec.json.decode(message.data)
                 yield Message(channel.topic, schema.name, message.log_time, content)

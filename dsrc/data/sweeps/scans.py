@@ -33,14 +33,15 @@ from dsrc.data.sweeps.kitti import calibration_beside, labels_of_scan
 from dsrc.data.sweeps.layout import BoxRows, Labels, Layout
 from sensors.presets import get_lidar
 from sensors.sweep import STATIC, Sweep
-from sim.boxes import CLASSES
+from sim.boxes import CLASSES, check_radians
 from sim.errors import DataError, complaint
 from sim.settings import read_toml
 
 BOXES, SETTINGS = "boxes.json", "scans.toml"
 _LOOKED_INTO = 64
 _NUMBER = re.compile(r"(\d+)\D*$")
-_MICROSECONDS = 16
+_SECONDS = re.compile(r"(?<!\d)([1-9]\d{9})[._](\d{1,9})\D*$")
+_MICROSECONDS, _NANOSECONDS = 16, 19
 
 
 class FrameBoxes(msgspec.Struct, frozen=True):
@@ -74,7 +75,7 @@ class Scans(Layout):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        listed = [path] if is_scan(path) else sorted(file for file in path.iterdir() if is_scan(file))
+        listed = [path] if is_scan(path) else sorted((file for file in path.iterdir() if is_scan(file)), key=_in_order)
         numbers = [_number(file) for file in listed]
         known = [number for number in numbers if number is not None]
         if len(set(known)) < len(listed):
@@ -160,6 +161,7 @@ class Scans(Layout):
             raise DataError(complaint(self._boxes_file, where, f"classes of {', '.join(CLASSES)}", odd[0]))
         if any(not 0 <= one < 2**31 for one in ids):
             raise DataError(complaint(self._boxes_file, where, "ids from 0 to 2147483647", max(ids, key=abs)))
+        check_radians(self._boxes_file, where, np.array([row[6] for row in entry.boxes], np.float64))
         rows = BoxRows(dict(zip(CLASSES, CLASSES, strict=True)))
         for name, row, one in zip(names, entry.boxes, ids, strict=True):
             rows.add(name, row, one)
@@ -190,10 +192,28 @@ class Scans(Layout):
     def _read_boxes(self) -> dict[int, FrameBoxes]:
         if self._boxes_file is None:
             return {}
-        return {entry.frame: entry for entry in read_json(self._boxes_file, BoxesFile).frames}
+        found: dict[int, FrameBoxes] = {}
+        for entry in read_json(self._boxes_file, BoxesFile).frames:
+            if entry.frame in found:
+                raise DataError(complaint(self._boxes_file, "frames", "each frame once", f"{entry.frame} twice"))
+            found[entry.frame] = entry
+        if found and not found.keys() & set(self.frames):
+            expected = f"numbers of the scans, from {self.frames[0]} to {self.frames[-1]}"
+            raise DataError(complaint(self._boxes_file, "frames", expected, f"{min(found)} to {max(found)}"))
+        return found
 
 
 def _number(path: Path) -> int | None:
-    """Return the number at the end of a scan's name, None without one."""
-    found = _NUMBER.search(path.name.removesuffix(ending_of(path) or ""))
+    """Return the number at the end of a scan's name, of times the microseconds; None without one."""
+    name = path.name.removesuffix(ending_of(path) or "")
+    if found := _SECONDS.search(name):  # as ROS writes times: seconds.nanoseconds
+        return int(f"{found[1]}{found[2]:0<6.6}")
+    found = _NUMBER.search(name)
+    if found and len(found[1]) == _NANOSECONDS:
+        return int(found[1]) // 1000
     return int(found[1]) if found and len(found[1]) <= _MICROSECONDS else None
+
+
+def _in_order(path: Path) -> list[str | int]:
+    """Key by which names are sorted as one reads them: scan 2 before scan 10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"([0-9]+)", path.name)]

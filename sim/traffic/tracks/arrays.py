@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.boxes import check_radians
 from sim.errors import DataError, complaint
 from sim.packed import read_arrays
-from sim.traffic.tracks.base import Recording, Track, check_radians, class_of, make_track
+from sim.traffic.tracks.base import Recording, Track, class_of, make_track
 
 SHAPES = {
     "time": "T",

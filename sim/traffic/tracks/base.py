@@ -29,8 +29,6 @@ LONGEST_M = 100.0
 FARTHEST_M = 1e7
 FIRST_ID = 1000
 
-_TURN_RAD = math.tau + 1e-3
-"""Largest heading of a file in radians: a whole turn, rounded up."""
 _ASKEW_RAD = math.radians(30.0)
 """Angle between the axis and the way of a vehicle that no slip explains: in tight bends it is up to 20 degrees."""
 _STEP_M = 0.2
@@ -66,7 +64,7 @@ _NAMES = {
     "lorry": "truck",
 }
 _NO_ROAD_USERS = frozenset(
-    "unknown train roadboundary building pillar median_strip constructionzone construction_zone generic_object "
+    "unknown unset train roadboundary building pillar median_strip constructionzone construction_zone generic_object "
     "traffic_cone traffic_barrier traffic_object barrier czone_sign traffic_light other".split()
 )
 
@@ -137,13 +135,6 @@ def class_of(path: Path, field: str, text: str, length_m: float) -> str | None:
     if name not in CLASSES:
         raise DataError(complaint(path, field, "a class of road user", text, did_you_mean(name, [*CLASSES, *_NAMES])))
     return name
-
-
-def check_radians(path: Path, field: str, yaw: NDArray[np.float64]) -> None:
-    """Raise DataError for a heading beyond a whole turn, which is in degrees; NaN passes."""
-    beyond = yaw[np.abs(yaw) > _TURN_RAD]
-    if len(beyond):
-        raise DataError(complaint(path, field, "radians within 2 pi", f"{beyond[0]:g}", "; is it in degrees?"))
 
 
 def heading_of_motion(xy: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,9 +15,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from sim.boxes import check_radians
 from sim.errors import DataError, complaint
 from sim.reading import parsing
-from sim.traffic.tracks.base import GAP_S, Recording, Track, check_radians, class_of, make_track
+from sim.traffic.tracks.base import GAP_S, Recording, Track, class_of, make_track
 from sim.traffic.tracks.xml_file import number_of, read_xml_bytes
 
 VERSIONS = ("2018b", "2020a")

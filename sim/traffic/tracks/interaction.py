@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.boxes import check_radians
 from sim.errors import DataError, complaint
-from sim.traffic.tracks.base import Recording, Track, check_radians, class_of, heading_of_motion, make_track
+from sim.traffic.tracks.base import Recording, Track, class_of, heading_of_motion, make_track
 from sim.traffic.tracks.columns import Columns, read_columns
 
 SIGNATURE = frozenset({"track_id", "frame_id", "timestamp_ms", "agent_type"})

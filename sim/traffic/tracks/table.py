@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.boxes import check_radians
 from sim.errors import DataError, complaint
-from sim.traffic.tracks.base import Recording, Track, check_radians, class_of, make_track
+from sim.traffic.tracks.base import Recording, Track, class_of, make_track
 from sim.traffic.tracks.columns import read_columns
 
 NUMBERS = ("time", "x", "y", "yaw", "length", "width", "z", "height")

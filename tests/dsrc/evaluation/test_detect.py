@@ -9,6 +9,7 @@ import pytest
 from dsrc.data.drives import list_drives, open_drive
 from dsrc.data.formats.opv2v.reader import write_frame
 from dsrc.data.sample import OPENCOOD_RANGE_M, Sample, SampleRequest, first_agents, make_sample
+from dsrc.detectors.classes import OwnDetector
 from dsrc.evaluation.detect import Method, corrupted, frame_positions, warn_of_slow_drives
 from dsrc.evaluation.results import find_row
 from dsrc.ops.detections import Detections
@@ -236,3 +237,27 @@ def test_a_channel_over_frames_far_apart_is_warned_of(tmp_path: Path, caplog: py
         write_frame(tmp_path / "slow", replace(frame, time_s=10.0 * index))
     warn_of_slow_drives([open_drive(tmp_path / "slow")])
     assert "slow: its frames are 10 s apart" in caplog.text
+
+
+class Failing(PointCounter):
+    """Detector of one's own that raises."""
+
+    def __init__(self, error: BaseException) -> None:
+        super().__init__()
+        self.error = error
+
+    def detect(self, sample: Sample) -> Detections:
+        raise self.error
+
+
+@pytest.mark.parametrize("error", [SystemExit(0), ValueError("no\nboxes")])
+def test_a_failure_of_ones_own_detector_is_one_line_with_the_frame(drives: list[Path], error: BaseException) -> None:
+    own = OwnDetector(Failing(error), "module:Failing")
+    with pytest.raises(DataError, match=f"frame 0: detector 'Failing': .*{type(error).__name__}: ") as caught:
+        detect_all([Method("a", own)], drives)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_failure_of_a_detector_of_ours_is_a_fault(drives: list[Path]) -> None:
+    with pytest.raises(ZeroDivisionError):
+        detect_all([Method("a", Failing(ZeroDivisionError()))], drives)

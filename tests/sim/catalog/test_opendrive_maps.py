@@ -1,6 +1,7 @@
 """OpenDRIVE as others write it: every kind of map gives drives, with its side, heights and objects."""
 
 import logging
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -166,3 +167,20 @@ def test_a_namespace_is_read_over(tmp_path: Path) -> None:
     source = maps.straight(tmp_path)
     source.write_text(source.read_text().replace("<OpenDRIVE", '<OpenDRIVE xmlns="http://code.asam.net/simulation"', 1))
     assert len(converted(source, tmp_path / "out").getEdges(False)) == 2
+
+
+@pytest.mark.parametrize(("limit", "speed"), [({"max": "30", "unit": "km/h"}, "8.33"), ({"max": "no limit"}, "13.89")])
+def test_limits_of_roads_are_those_of_their_lanes_for_vehicles(
+    tmp_path: Path, limit: dict[str, str], speed: str
+) -> None:
+    source = maps.straight(tmp_path)
+    tree = ET.parse(source)
+    for road in tree.iter("road"):
+        for kind in road.findall("type"):
+            road.remove(kind)
+        kind = ET.Element("type", {"s": "0", "type": "town"})
+        kind.append(ET.Element("speed", limit))
+        road.insert(1, kind)
+    tree.write(source)
+    net = convert_map(source, tmp_path).net.read_text(encoding="utf-8")
+    assert set(re.findall(r'<lane id="[^:][^>]*? speed="([^"]*)"', net)) == {speed}

@@ -1,5 +1,6 @@
 """Driver of an episode, whose failures end the episode and not the campaign."""
 
+import copy
 import math
 import time
 from collections.abc import Callable
@@ -47,7 +48,8 @@ class CheckedDriver:
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return the decision for the next step; no acceleration after a failure."""
-        return self._done(lambda: checked_decision(self._driver.decide(ego, tracks))) or Decision(0.0)
+        given = copy.deepcopy((ego, tracks))  # a driver may compute in place in what it gets
+        return self._done(lambda: checked_decision(self._driver.decide(*given))) or Decision(0.0)
 
     def _done(self, call: Callable[[], _T]) -> _T | None:
         """Return what a call returns; None where the driver fails in it, or has failed before."""

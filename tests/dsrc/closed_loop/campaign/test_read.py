@@ -97,3 +97,18 @@ def test_a_plan_says_faults_in_the_same_words(tmp_path: Path) -> None:
         SettingsError, match=r"plan.toml: fault 'fog:7 from 4 s on helpers', severity: expected a whole number, 1 to 5"
     ):
         read_campaign(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("clean_seeds = 100000000000", "clean_seeds: expected int <= 1000000, found 100000000000"),
+        (f"seeds = [{2**63}]", r"seeds\[0\]: .*"),
+        ("[loop]\nduration_s = -1", "duration_s: expected seconds > 0, found -1"),
+    ],
+)
+def test_a_wrong_number_of_a_plan_is_told_with_the_file(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(f'scenarios = ["ima_building"]\n{text}\n[[perceptions]]\nname = "truth"\n')
+    with pytest.raises(SettingsError, match=f"plan.toml: .*{message}"):
+        read_campaign(path)

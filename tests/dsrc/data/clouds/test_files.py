@@ -14,6 +14,7 @@ from dsrc.data.datasets.corrupt_scans import MANIFEST
 from dsrc.data.formats.pcd import read_table
 from sensors.corruptions import CORRUPTIONS
 from sim.errors import DataError, SettingsError, notice
+from tests.commands import dsrc as command
 from tests.dsrc.data.clouds.test_corrupt import ALONE, BOXES, street
 
 CLOUD = street().astype("<f4")
@@ -321,3 +322,16 @@ def test_other_scales_are_declared(tmp_path: Path, scale: str | float, most: flo
     plain = np.fromfile(corrupted(written(tmp_path / "b.bin", cloud)), "<f4").reshape(-1, 4)
     assert len(made) == pytest.approx(len(plain), rel=0.01)
     assert to_unit(made[:, 3], scale).mean() == pytest.approx(plain[:, 3].mean(), rel=0.02)
+
+
+def test_points_in_coordinates_of_a_map_are_refused(tmp_path: Path) -> None:
+    points = CLOUD + np.array([5e5, 5e6, 0.0, 0.0])
+    np.save(tmp_path / "utm.npy", points)
+    with pytest.raises(DataError, match=r"utm\.npy: .*x y z: expected at most 10000 m, found 49.*subtract its place"):
+        corrupted(tmp_path / "utm.npy")
+
+
+def test_a_link_to_itself_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "loop.bin").symlink_to("loop.bin")
+    done = command("corrupt", str(tmp_path / "loop.bin"), "--corruption", "fog", "--out", str(tmp_path / "o.bin"))
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "loop.bin" in done.stderr

@@ -136,3 +136,24 @@ def test_places_on_the_globe_are_refused(folder: Path) -> None:
         net.write_text(kept)
     with pytest.raises(DataError, match=r"x, y: expected metres.*write it without --fcd-output\.geo"):
         read_tracks(path)
+
+
+def test_words_in_names_of_types_are_whole_and_copies_have_their_type(tmp_path: Path) -> None:
+    types = {
+        "a": "truck_trailer",
+        "b": "semitrailer",
+        "c": "rail_urban",
+        "d": "suv@7",
+        "e": "shipping_van",
+        "f": "tram",
+    }
+    rows = "".join(
+        f'<vehicle id="{name}" x="{10 * place}" y="0" angle="90" speed="0" type="{kind}"/>'
+        for place, (name, kind) in enumerate(types.items())
+    )
+    steps = "".join(f'<timestep time="{time}">{rows}</timestep>' for time in (0.0, 0.5))
+    (tmp_path / "fcd.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    (tmp_path / "a.rou.xml").write_text('<routes><vType id="suv" length="4.8" width="1.95" height="1.7"/></routes>')
+    found = by_name(tmp_path / "fcd.xml")
+    assert {name: one.class_name for name, one in found.items()} == {"a": "truck", "b": "truck", "d": "car", "e": "van"}
+    assert found["d"].size.tolist() == [4.8, 1.95, 1.7]
