@@ -233,8 +233,8 @@ class DrivingEnv(AbstractEnv):
         return self.loop.start(episode)
 
     def _simulate(self, action: Any = None) -> None:
-        if action is not None and not np.isfinite(action).all():
-            raise ValueError(f"action must be finite, got {action}")
+        if action is not None:
+            self._check_action(action)
         self._since = len(self.loop.ticks) - 1
         for number in range(self._steps):
             if self.loop.outcome is not None:
@@ -246,6 +246,15 @@ class DrivingEnv(AbstractEnv):
             self._advance()
             self.steps += 1
             self._mirror()
+
+    def _check_action(self, action: Any) -> None:
+        space, shape = self.action_space, np.shape(action)
+        if not np.isfinite(action).all():
+            raise ValueError(f"action must be finite, got {action}")
+        if shape != space.shape:
+            raise ValueError(f"action must have the shape {space.shape}, got {shape}")
+        if isinstance(space, spaces.Discrete) and not space.contains(action):
+            raise ValueError(f"action must be of {space}, got {action}")
 
     def _advance(self) -> None:
         ego = self.vehicle
@@ -283,6 +292,8 @@ class DrivingEnv(AbstractEnv):
         limit = max(ticks[-1].ego.limits.speed_mps, 1e-3)
         moved = ticks[-1].ego.progress_m - ticks[0].ego.progress_m
         hardest = max(abs(tick.ego.acceleration_mps2) for tick in ticks[1:] or ticks)
+        if len(ticks) == 1 and self.loop.outcome is not None:  # a step after the end earns nothing
+            return dict.fromkeys(("collision_reward", "progress_reward", "comfort_reward"), 0.0)
         arrived = self.loop.outcome == Outcome.ARRIVED
         left = duration - (ticks[-1].actors.time_s - self.loop.start_s) if arrived else 0.0
         return {

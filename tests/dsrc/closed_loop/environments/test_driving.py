@@ -249,6 +249,35 @@ def test_an_action_that_is_not_finite_is_refused(name: str, action: list[float])
     env.close()
 
 
+@pytest.mark.parametrize(
+    ("name", "action", "message"),
+    [
+        ("dsrc/Rail-v0", np.zeros(7), r"the shape \(1,\), got \(7,\)"),
+        ("dsrc/Rail-v0", 0.5, r"the shape \(1,\), got \(\)"),
+        ("dsrc/Meta-v0", 7, r"of Discrete\(\d\), got 7"),
+        ("dsrc/Meta-v0", 1.5, "got 1.5"),
+    ],
+)
+def test_an_action_out_of_its_space_is_refused(name: str, action: Any, message: str) -> None:
+    env = DrivingEnv(scenario=SCENARIO, action=ENVIRONMENTS[name])
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match=f"action must .*{message}"):
+        env.step(action)
+    env.close()
+
+
+def test_a_step_after_the_end_earns_nothing() -> None:
+    env = DrivingEnv(scenario=SCENARIO, policy_frequency=1)
+    taken = drive(env, np.array([1.0], np.float32))
+    assert taken[-1][2]
+    env.reset(seed=3)
+    for _ in taken:
+        env.step(np.array([1.0], np.float32))
+    _, reward, terminated, *_ = env.step(np.array([1.0], np.float32))
+    assert terminated and reward == 0.0
+    env.close()
+
+
 def test_a_wrong_setting_is_named() -> None:
     with pytest.raises(SettingsError, match="scenery"):
         DrivingEnv(scenery="four_way")
