@@ -192,11 +192,14 @@ class Radio:
         """Return the radio of a label such as `ideal,loss=0.3`.
 
         Raises:
-            SettingsError: a value is no number.
+            SettingsError: a value is no number, or a change is there twice.
         """
         found = _CHANGES.match(text)
         assert found is not None  # it matches every text
-        changes = dict(part.split("=") for part in found["changes"].split(",")[1:])
+        given = [part.split("=") for part in found["changes"].split(",")[1:]]
+        changes = dict(given)
+        if len(changes) < len(given):
+            raise SettingsError(complaint("channel", "changes", "each once", text))
         try:
             return cls(found["channel"], **{name: float(value) for name, value in changes.items()})
         except ValueError:
@@ -258,6 +261,10 @@ def get_channel(name: str) -> ChannelSpec:
 
 def _preset(name: str) -> ChannelSpec:
     preset, _, file = name.partition(":")
+    if preset not in PRESETS and name.partition(",")[0] in PRESETS:
+        keys = [part.partition("=")[0] for part in name.split(",")[1:]]
+        wrong = next((key for key in keys if key not in CHANGES), keys[-1])
+        raise SettingsError(complaint("channel", "changes", f"NAME=NUMBER of {', '.join(CHANGES)}", wrong))
     if preset not in PRESETS:
         choices = [f"{known}:FILE" if known == "trace" else known for known in PRESETS]
         raise SettingsError(complaint("channel", "name", "a preset", name, did_you_mean(preset, choices)))

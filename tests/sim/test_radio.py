@@ -337,6 +337,18 @@ def test_a_message_is_used_up_to_its_longest_age() -> None:
     assert not old.newest(instants, 1, 0).received
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("ideal,bandwidth=0", "changes: expected NAME=NUMBER of loss, .*, found bandwidth"),
+        ("ideal,loss=0.1,loss=0.2", "changes: expected each once"),
+    ],
+)
+def test_a_change_that_no_channel_has_or_that_is_there_twice_is_named(text: str, message: str) -> None:
+    with pytest.raises(SettingsError, match=f"^channel: {message}"):
+        get_channel(text)
+
+
 def test_a_channel_without_later_settings_has_the_key_that_it_had() -> None:
     """Results that are kept have it in their names."""
     known = PRESETS["its-g5-27"].decisive()

@@ -187,8 +187,8 @@ def read_calibration(path: Path) -> KittiCalibration:
         # The tracking benchmark writes some of the names without a colon, and others than the object benchmark.
         rows = {words[0].rstrip(":"): np.array(words[1:], np.float64) for words in lines if words[0] not in _NO_NUMBERS}
         rectified = np.eye(4)
-        rectified[:3, :3] = _first(rows, "R0_rect", "R_rect").reshape(3, 3)
-        found = rectified @ _rigid(_first(rows, "Tr_velo_to_cam", "Tr_velo_cam"))
+        rectified[:3, :3] = _first(path, rows, "R0_rect", "R_rect").reshape(3, 3)
+        found = rectified @ _rigid(_first(path, rows, "Tr_velo_to_cam", "Tr_velo_cam"))
         if not np.isfinite(found).all() or abs(np.linalg.det(found[:3, :3]) - 1.0) > 1e-2:
             raise ValueError("R0_rect, Tr_velo_to_cam: not rotations")
         projection = rows["P2"].reshape(3, 4) if "P2" in rows else PROJECTION
@@ -201,8 +201,12 @@ def read_calibration(path: Path) -> KittiCalibration:
         return KittiCalibration(found, projection, world, time_s, None if imu is None else found @ _rigid(imu))
 
 
-def _first(rows: dict[str, NDArray[np.float64]], *names: str) -> NDArray[np.float64]:
-    return rows[next((name for name in names if name in rows), names[0])]
+def _first(path: Path, rows: dict[str, NDArray[np.float64]], *names: str) -> NDArray[np.float64]:
+    """Return the numbers of a calibration by the first of their names that it has."""
+    name = next((name for name in names if name in rows), None)
+    if name is None:
+        raise DataError(complaint(path, names[0], f"a line of numbers, as {' or '.join(names)}", "none"))
+    return rows[name]
 
 
 def _rigid(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -82,5 +82,7 @@ def test_the_calibration_is_the_frames_own_or_the_nominal_one(tmp_path: Path) ->
     here, nominal = (read_labels(labels / "000007.txt", m)[0].center for m in (moved, CAMERA_FROM_LIDAR))
     np.testing.assert_allclose(here - nominal, [invert(moved)[:3, 3] - invert(CAMERA_FROM_LIDAR)[:3, 3]], atol=1e-12)
     write(calibration, text.replace("R0_rect", "R1"))
-    with pytest.raises(DataError, match=r"000007.txt: not a readable calibration: 'R0_rect'"):
+    with pytest.raises(
+        DataError, match=r"000007.txt: R0_rect: expected a line of numbers, as R0_rect or R_rect, found none"
+    ):
         calibration_of(labels, 7)

@@ -123,7 +123,7 @@ def test_our_own_tree_comes_back_equal(tmp_path: Path) -> None:
         ("velodyne/000000.bin", np.array([0, 0, 1, 7], "<f4").tobytes(), "intensity: expected 0 to 1, found 7"),
         ("velodyne/000000.bin", np.array([0, 0, np.nan, 1], "<f4").tobytes(), "finite coordinates, found 1 of 1"),
         ("label_2/000000.txt", b"Car 1 2\n", "line 1: expected 15 columns, found 3"),
-        ("calib/000000.txt", b"P2: 1 2\n", "not a readable calibration"),
+        ("calib/000000.txt", b"P2: 1 2\n", "R0_rect: expected a line of numbers"),
     ],
 )
 def test_a_damaged_file_is_one_line(tmp_path: Path, name: str, content: bytes, message: str) -> None:
