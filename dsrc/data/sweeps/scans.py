@@ -12,7 +12,9 @@ What files do not say may stand in `scans.toml` in the folder: `columns`, `inten
 of `dsrc corrupt`, and `height`, of the sensor above the ground, m. Without a scale of the intensities it is found in 64
 scans spread over the folder.
 
-A frame's number is that at the end of its file's name, 0.1 s apart, where these differ; 16 digits are microseconds.
+A frame's number is that at the end of its file's name, 0.1 s apart, where these differ; else files are counted in the
+order of all numbers in their names. 16 digits are microseconds, 19 nanoseconds and `1700000000.850000000` the seconds of
+ROS; of these two the frame's number is the time in microseconds.
 """
 
 import re
