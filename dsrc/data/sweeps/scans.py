@@ -13,8 +13,8 @@ of `dsrc corrupt`, and `height`, of the sensor above the ground, m. Without a sc
 scans spread over the folder.
 
 A frame's number is that at the end of its file's name, 0.1 s apart, where these differ; else files are counted in the
-order of all numbers in their names. 16 digits are microseconds, 19 nanoseconds and `1700000000.850000000` the seconds of
-ROS; of these two the frame's number is the time in microseconds.
+order of all numbers in their names. 16 digits are microseconds, 19 nanoseconds and `1700000000.850000000` the seconds
+of ROS; of these two the frame's number is the time in microseconds.
 """
 
 import re
