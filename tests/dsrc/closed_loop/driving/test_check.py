@@ -101,7 +101,6 @@ def test_the_shipped_driver_does_nothing_wrong() -> None:
         (Plain, "Plain: empty road: TypeError: decide: expected a Decision, found float"),
         (Mapped, "Mapped: without lanes: AttributeError: "),
         (Remembering, "Remembering: reset: expected the same decisions in the same drive after a reset, found others"),
-        (Careless, "Careless: decide: expected the ego's state and the tracks as they were, found others after it"),
         (object, "object: reset: expected a method, found none\nobject: decide: expected a method, found none"),
         ("plannin", "did you mean 'planning'?"),
         (dataclasses.make_dataclass("Unmade", ["model"]), "Unmade: class: does not work: TypeError"),
