@@ -112,7 +112,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         alarm_after: validations in a row with an average precision of 0 that end the training.
         workers: processes that prepare batches.
         bfloat16: convolutions and matrix products in bfloat16: with AMX or on a GPU about twice as fast; a CPU without
-            it computes the same numbers through float32, in about the time of float32.
+            it computes the same numbers through float32 from PyTorch 2.9 on, in about the time of float32.
         half: store the weights in half precision.
     """
 

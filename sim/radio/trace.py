@@ -65,7 +65,7 @@ def read_trace(path: str) -> Trace:
     Raises:
         DataError: the file cannot be read, a column is missing or a value is wrong.
     """
-    text = read_text(Path(path), "CSV file").removeprefix("\ufeff")
+    text = read_text(Path(path), "CSV file")
     with parsing(path, "CSV file"):
         return _trace(path, text)
 

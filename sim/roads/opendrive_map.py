@@ -9,6 +9,7 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -50,7 +51,8 @@ class OpenDriveMap:
             road.remove(things)
         self._drop_links_to_nowhere()
         for road in self.root.iter("road"):
-            _limit_lanes(road)
+            with suppress(ValueError):  # a wrong number is told by netconvert
+                _limit_lanes(road)
 
     def _drop_links_to_nowhere(self) -> None:
         """Drop links to roads that the file lacks, as one cut out of a larger map has them."""
@@ -136,32 +138,29 @@ _FOR_VEHICLES = frozenset(
 
 def _limit_lanes(road: ET.Element) -> None:
     """Write the speed limits of a road's types into those of its lanes that have none: netconvert reads lanes alone."""
-    limits = sorted(
-        ((_number(kind, "s"), limit) for kind in road.findall("type") if (limit := kind.find("speed")) is not None),
-        key=lambda pair: pair[0],
-    )
-    for section in road.iterfind("lanes/laneSection") if limits else ():
-        start = _number(section, "s")
-        before = [limit for s, limit in limits if s <= start]
-        within = [(s - start, limit) for s, limit in limits if s > start]
+    limits = [(float(kind.get("s") or 0.0), _limit(kind.find("speed"))) for kind in road.findall("type")]
+    limits.sort(key=lambda pair: pair[0])
+    sections = road.findall("lanes/laneSection") if limits else []
+    starts = [float(section.get("s") or 0.0) for section in sections]
+    for section, start, end in zip(sections, starts, [*starts[1:], math.inf], strict=True):
+        before = [(0.0, limit) for s, limit in limits if s <= start]
+        within = [(s - start, limit) for s, limit in limits if start < s < end]
         for lane in section.iterfind("*/lane"):
             if lane.get("type") in _FOR_VEHICLES and lane.find("speed") is None:
-                for offset, limit in [(0.0, one) for one in before[-1:]] + within[: 0 if before else 1]:
-                    if _is_number(limit.get("max", "")):
-                        given = {
-                            "sOffset": f"{offset:g}",
-                            "max": limit.get("max", ""),
-                            "unit": limit.get("unit", "m/s"),
-                        }
-                        ET.SubElement(lane, "speed", given)
+                for offset, limit in before[-1:] + within:
+                    if limit is not None:
+                        ET.SubElement(lane, "speed", {"sOffset": f"{offset:g}", **limit})
 
 
-def _is_number(text: str) -> bool:
-    """Return whether a limit is one: it may be "no limit" or "undefined"."""
+def _limit(speed: ET.Element | None) -> dict[str, str] | None:
+    """Return a limit as a lane has it; None where it is "no limit", "undefined" or missing."""
+    if speed is None:
+        return None
     try:
-        return float(text) > 0.0
+        known = 0.0 < float(speed.get("max", "")) < math.inf
     except ValueError:
-        return False
+        return None
+    return {"max": speed.get("max", ""), "unit": speed.get("unit", "m/s")} if known else None
 
 
 def _swap_sides(road: ET.Element) -> None:

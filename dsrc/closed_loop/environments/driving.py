@@ -287,13 +287,13 @@ class DrivingEnv(AbstractEnv):
 
     def _rewards(self, action: object) -> dict[str, float]:
         ticks = self.loop.ticks[self._since :]
+        if len(ticks) == 1 and self.loop.outcome is not None:  # a step after the end earns nothing
+            return dict.fromkeys(("collision_reward", "progress_reward", "comfort_reward"), 0.0)
         duration = self.config["duration"]
         seconds = self.loop.scenario.step_s * max(len(ticks) - 1, 1)
         limit = max(ticks[-1].ego.limits.speed_mps, 1e-3)
         moved = ticks[-1].ego.progress_m - ticks[0].ego.progress_m
         hardest = max(abs(tick.ego.acceleration_mps2) for tick in ticks[1:] or ticks)
-        if len(ticks) == 1 and self.loop.outcome is not None:  # a step after the end earns nothing
-            return dict.fromkeys(("collision_reward", "progress_reward", "comfort_reward"), 0.0)
         arrived = self.loop.outcome == Outcome.ARRIVED
         left = duration - (ticks[-1].actors.time_s - self.loop.start_s) if arrived else 0.0
         return {

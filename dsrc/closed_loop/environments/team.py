@@ -90,7 +90,7 @@ class TeamEnv(ParallelEnv):
         """Act with every agent; see PettingZoo.
 
         Raises:
-            ValueError: an action is not finite.
+            ValueError: an action is not finite or not of its space.
             KeyError: an agent has no action.
         """
         seats = {agent: self._seats[agent] for agent in self.agents}
@@ -133,8 +133,7 @@ class _Seat(DrivingEnv):
 
     def begin(self, action: Any) -> None:
         """Take the action of a step."""
-        if not np.isfinite(action).all():
-            raise ValueError(f"action must be finite, got {action}")
+        self._check_action(action)
         self._since, self._fresh = len(self.loop.ticks) - 1, True
         self.action_type.act(action)
 

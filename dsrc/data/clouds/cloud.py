@@ -75,7 +75,8 @@ class Cloud:
             on_vehicle: (P,) mask of points on vehicles, each of which becomes an object with the id of its row.
 
         Raises:
-            DataError: an intensity or a ring is out of its range, or the intensities' scale cannot be found.
+            DataError: an intensity or a ring is out of its range, the intensities' scale cannot be found, or most
+                points are so far away that they are in coordinates of a map.
             SettingsError: the sensor has no rings to find.
         """
         row = np.flatnonzero(self.returns)
@@ -83,7 +84,7 @@ class Cloud:
         with np.errstate(over="ignore"):  # what is beyond float32 is refused where points are corrupted
             points = np.stack([table[name] for name in self.axes], axis=1).astype(np.float32)
         reach = np.abs(points).max(axis=1, initial=0.0)
-        if len(far := np.flatnonzero((reach > FARTHEST_M) & (reach < np.inf))):
+        if 2 * len(far := np.flatnonzero((reach > FARTHEST_M) & (reach < np.inf))) > len(points):
             hint = "; points are in the sensor's frame: subtract its place from those of a map"
             found = " ".join(f"{value:g}" for value in points[far[0]].tolist())
             raise DataError(complaint("points", "x y z", f"at most {FARTHEST_M:g} m", found, hint))

@@ -314,12 +314,16 @@ def _decoded_cloud(path: Path, message: Message) -> tuple[str, NDArray[np.void]]
     return str(frame_id).lstrip("/"), np.frombuffer(data, dtype)
 
 
+_STILL = 1e-9
+"""Largest number of a pose that is none but for rounding."""
+
+
 def _is_moved(pose: Any) -> bool:
     """Return whether a pose of Foxglove's is another than that of its frame."""
     if not pose:
         return False
     place, turn = pose.get("position") or {}, pose.get("orientation") or {}
-    return any(place.get(axis, 0.0) for axis in "xyz") or any(turn.get(axis, 0.0) for axis in "xyz")
+    return any(abs(part.get(axis, 0.0)) > _STILL for part in (place, turn) for axis in "xyz")
 
 
 def _transforms(message: Message) -> Iterator[tuple[str, str, int, list[float], list[float]]]:

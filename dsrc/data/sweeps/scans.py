@@ -42,7 +42,7 @@ from sim.settings import read_toml
 BOXES, SETTINGS = "boxes.json", "scans.toml"
 _LOOKED_INTO = 64
 _NUMBER = re.compile(r"(\d+)\D*$")
-_SECONDS = re.compile(r"(?<!\d)([1-9]\d{9})[._](\d{1,9})\D*$")
+_SECONDS = re.compile(r"(?<!\d)([1-9]\d{9})(?:\.(\d{1,9})|_(\d{9}))$")
 _MICROSECONDS, _NANOSECONDS = 16, 19
 
 
@@ -82,6 +82,7 @@ class Scans(Layout):
         known = [number for number in numbers if number is not None]
         if len(set(known)) < len(listed):
             known = list(range(len(listed)))
+        self._single = is_scan(path)
         self._scans = dict(sorted(zip(known, listed, strict=True)))
         self._folder = path.parent if is_scan(path) else path
         self.frames = tuple(self._scans)
@@ -199,7 +200,8 @@ class Scans(Layout):
             if entry.frame in found:
                 raise DataError(complaint(self._boxes_file, "frames", "each frame once", f"{entry.frame} twice"))
             found[entry.frame] = entry
-        if found and not found.keys() & set(self.frames):
+        own = not self._single and self._boxes_file.parent == self._folder
+        if found and own and not found.keys() & set(self.frames):
             expected = f"numbers of the scans, from {self.frames[0]} to {self.frames[-1]}"
             raise DataError(complaint(self._boxes_file, "frames", expected, f"{min(found)} to {max(found)}"))
         return found
@@ -209,7 +211,7 @@ def _number(path: Path) -> int | None:
     """Return the number at the end of a scan's name, of times the microseconds; None without one."""
     name = path.name.removesuffix(ending_of(path) or "")
     if found := _SECONDS.search(name):  # as ROS writes times: seconds.nanoseconds
-        return int(f"{found[1]}{found[2]:0<6.6}")
+        return int(f"{found[1]}{found[2] or found[3]:0<6.6}")
     found = _NUMBER.search(name)
     if found and len(found[1]) == _NANOSECONDS:
         return int(found[1]) // 1000

@@ -43,7 +43,7 @@ def rows_by(values: Sequence[str]) -> dict[str, NDArray[np.int64]]:
 
 def header_of(path: Path) -> tuple[str, ...]:
     """Return the lower-case names of the columns of a CSV; DataError for a file that is missing or no text."""
-    first = read_text(path, "CSV file", most=LARGEST_BYTES).removeprefix("\ufeff").partition("\n")[0]
+    first = read_text(path, "CSV file", most=LARGEST_BYTES).partition("\n")[0]
     return tuple(name.strip().strip('"').lower() for name in first.split(_delimiter(first)))
 
 
@@ -65,7 +65,7 @@ def read_columns(
     Raises:
         DataError: a column is missing, or a value is; names the line.
     """
-    text = read_text(path, "CSV file", most=LARGEST_BYTES).removeprefix("\ufeff")
+    text = read_text(path, "CSV file", most=LARGEST_BYTES)
     with parsing(path, "CSV file"):
         delimiter = _delimiter(text)
         reader = csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True)

@@ -123,13 +123,13 @@ def _track(path: Path, name: str, samples: _Samples, types: _Types, unknown: set
 
 def _kind_of(type_id: str, types: _Types, unknown: set[str]) -> _Kind | None:
     """Return the class and the size of a type; None for what is no road user."""
-    type_id = type_id.partition("@")[0]  # SUMO's copy of a type for one vehicle
-    if type_id in types:
-        return types[type_id]
+    for known in (type_id, type_id.partition("@")[0]):  # "@" is in SUMO's copies of a type for one vehicle
+        if known in types:
+            return types[known]
     if type_id in TYPES:
         return (TYPES[type_id].label, *TYPES[type_id].size)
     name = type_id.lower()
-    if any(re.search(f"(?<![a-z]){word}(s|way)?(?![a-z])", name) for word in _NO_ROAD_USERS):
+    if any(word in name.replace("trailer", "").replace("shipping", "") for word in _NO_ROAD_USERS):
         return None
     words = sorted((word for word in _WORDS if re.search(f"(?<![a-z]){word}|{word}(type)?(?![a-z])", name)), key=len)
     if not words:

@@ -48,8 +48,8 @@ class CheckedDriver:
 
     def decide(self, ego: EgoState, tracks: Tracks) -> Decision:
         """Return the decision for the next step; no acceleration after a failure."""
-        given = copy.deepcopy((ego, tracks))  # a driver may compute in place in what it gets
-        return self._done(lambda: checked_decision(self._driver.decide(*given))) or Decision(0.0)
+        # Copies, since a driver may compute in place in what it gets.
+        return self._done(lambda: checked_decision(self._driver.decide(*copy.deepcopy((ego, tracks))))) or Decision(0.0)
 
     def _done(self, call: Callable[[], _T]) -> _T | None:
         """Return what a call returns; None where the driver fails in it, or has failed before."""

@@ -103,7 +103,7 @@ def test_a_plan_says_faults_in_the_same_words(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("clean_seeds = 100000000000", "clean_seeds: expected int <= 1000000, found 100000000000"),
-        (f"seeds = [{2**63}]", r"seeds\[0\]: .*"),
+        (f"seeds = [{2**63}]", r"seeds\[0\]: expected"),
         ("[loop]\nduration_s = -1", "duration_s: expected seconds > 0, found -1"),
     ],
 )

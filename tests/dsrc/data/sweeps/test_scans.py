@@ -43,6 +43,19 @@ def test_times_in_names_are_those_of_the_scans(tmp_path: Path, names: tuple[str,
     assert [drive.read(i).time_s for i in range(3)] == pytest.approx([0.0, 0.1, 0.2])
 
 
+def test_a_date_before_a_number_is_no_time(tmp_path: Path) -> None:
+    drive = numbered(tmp_path / "scans", "2023101512_000001", "2023101512_000002")
+    assert [drive.read(i).index for i in range(2)] == [1, 2]
+
+
+def test_boxes_of_other_scans_leave_a_single_one_unlabelled(tmp_path: Path) -> None:
+    folder = scans(tmp_path) / "scans"
+    file = folder / "boxes.json"
+    file.write_text(json.dumps({"frames": json.loads(file.read_text())["frames"][:1]}))
+    (drive,) = open_drives(folder / "0001.npy")
+    assert len(drive.read(0).truth) == 0
+
+
 def test_names_that_share_their_last_number_are_in_the_order_of_the_first(tmp_path: Path) -> None:
     drive = numbered(tmp_path / "scans", *(f"{number}_lidar0" for number in range(12)))
     assert order(drive) == [1.0 + number for number in range(12)]

@@ -6,6 +6,7 @@ from torch import Tensor, nn
 
 from dsrc.models.layers.half_products import half_products, through_float32
 
+pytestmark = pytest.mark.skipif(not hasattr(torch.library, "get_kernel"), reason="PyTorch replaces kernels from 2.9 on")
 CONVOLUTIONS = {
     "wide": nn.Conv2d(8, 4, 3, padding=1),
     "strided": nn.Conv2d(8, 4, 3, stride=2, padding=1, bias=False),

@@ -138,7 +138,7 @@ def test_places_on_the_globe_are_refused(folder: Path) -> None:
         read_tracks(path)
 
 
-def test_words_in_names_of_types_are_whole_and_copies_have_their_type(tmp_path: Path) -> None:
+def test_trailers_are_no_rails_and_copies_have_their_type(tmp_path: Path) -> None:
     types = {
         "a": "truck_trailer",
         "b": "semitrailer",
@@ -146,6 +146,9 @@ def test_words_in_names_of_types_are_whole_and_copies_have_their_type(tmp_path: 
         "d": "suv@7",
         "e": "shipping_van",
         "f": "tram",
+        "g": "DEFAULT_RAILTYPE",
+        "h": "DEFAULT_CONTAINERTYPE",
+        "i": "cargoship",
     }
     rows = "".join(
         f'<vehicle id="{name}" x="{10 * place}" y="0" angle="90" speed="0" type="{kind}"/>'
