@@ -29,11 +29,12 @@ _TURN_RAD = 2.0 * np.pi + 1e-3
 """Largest heading in radians: a whole turn, rounded up."""
 
 
-def check_radians(where: Path | str, field: str, yaw: NDArray[np.float64]) -> None:
-    """Raise DataError for a heading beyond a whole turn, which is in degrees; NaN passes."""
-    beyond = yaw[np.abs(yaw) > _TURN_RAD]
+def check_radians(where: Path | str, field: str, yaw: NDArray[np.floating]) -> None:
+    """Check (N,) headings; DataError for one beyond a whole turn, which is in degrees. NaN passes."""
+    beyond = np.flatnonzero(np.abs(yaw) > _TURN_RAD)
     if len(beyond):
-        raise DataError(complaint(where, field, "radians within 2 pi", f"{beyond[0]:g}", "; is it in degrees?"))
+        found = f"{yaw[beyond[0]]:g} in row {beyond[0]}"
+        raise DataError(complaint(where, field, "radians within 2 pi", found, "; is it in degrees?"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

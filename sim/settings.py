@@ -109,7 +109,7 @@ def convert(
         return msgspec.convert(raw, kind, strict=strict)
     except msgspec.ValidationError as wrong:
         raise error(_explain(wrong, raw, kind, where, field)) from None
-    except UserError as wrong:  # of a struct that checks itself, which knows no file
+    except UserError as wrong:  # of a struct that checks itself and knows no file
         raise wrong if str(wrong).startswith(f"{where}: ") else error(f"{where}: {wrong}") from None
 
 

@@ -69,7 +69,7 @@ class LoopSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             value, may_be_zero = getattr(self, name), name in ("latency_s", "look_ahead_s")
             if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
                 expected = "seconds >= 0" if may_be_zero else "seconds > 0"
-                raise SettingsError(complaint("drive", name, expected, f"{value:g}"))
+                raise SettingsError(complaint("loop", name, expected, f"{value:g}"))
 
 
 class PerceptionClock:

@@ -28,7 +28,7 @@ from dsrc.evaluation.results import CLEAN
 from dsrc.evaluation.scoring.frames import DetectionSet, FrameKey, Truth
 from dsrc.evaluation.stored import FILE, StoredDrive, StoredRun, has_index, read_index, read_run, run_names
 from dsrc.ops.detections import Detections
-from sim.boxes import Boxes
+from sim.boxes import Boxes, check_radians
 from sim.errors import DataError, SettingsError, complaint, did_you_mean
 from sim.reading import parsing, read_bytes
 
@@ -36,7 +36,6 @@ EVERY = "all"
 
 _LARGEST = 1e7
 """Largest number of a box or a score: further out, overlaps have no digits left."""
-_FULL_TURN = 2.0 * np.pi + 1e-6
 _Number = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
 _Box = tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Number]
 
@@ -145,13 +144,6 @@ def _of_json(path: Path) -> DetectionSet:
         check_radians(path, f"{where}.boxes", boxes[:, 6])
         frames[key] = Detections(Boxes.from_array(boxes), np.array(score, np.float32))
     return DetectionSet(path.stem, frames)
-
-
-def check_radians(where: Path | str, field: str, yaw: NDArray[np.floating]) -> None:
-    """Check that headings are no degrees; DataError for one beyond a full turn."""
-    bad = np.flatnonzero(np.abs(yaw) > _FULL_TURN)
-    if len(bad):
-        raise DataError(complaint(where, field, "a yaw in radians, within 2 pi", f"{yaw[bad[0]]:g} in box {bad[0]}"))
 
 
 def _labelled(path: Path, folders: dict[str, Path], truth: Path | None) -> DetectionSet:

@@ -24,13 +24,13 @@ from dsrc.evaluation.metrics.kitti import Level, Rated, RatedFrame
 from dsrc.evaluation.metrics.protocols import Protocol, get_protocols
 from dsrc.evaluation.results import CLEAN
 from dsrc.evaluation.scoring.frames import DetectionSet, FrameKey, Truth, select
-from dsrc.evaluation.scoring.read import check_radians, read_detections
+from dsrc.evaluation.scoring.read import read_detections
 from dsrc.evaluation.scoring.truth import read_truth
 from dsrc.ops.detections import Detections
 from dsrc.options.detection import Scoring
 from dsrc.runs.executors import Progress
 from dsrc.runs.provenance import provenance
-from sim.boxes import Boxes
+from sim.boxes import Boxes, check_radians
 from sim.errors import DataError, SettingsError, complaint
 
 

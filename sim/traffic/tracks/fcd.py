@@ -44,7 +44,7 @@ _VCLASSES: dict[str, _Kind] = {
     "wheelchair": ("pedestrian", 0.8, 0.7, 1.4),
 }
 """Class, length, width and height of SUMO's vehicle classes, m; all others but rails and ships are cars."""
-_NO_ROAD_USERS = ("rail", "tram", "subway", "ship", "container", "drone", "aircraft")
+_NO_ROAD_USER = re.compile("rail(?!er)|tram|subway|ship(?!ping)|container|drone|aircraft|cable_car")
 _WORDS = {"bike": "bicycle", "ped": "pedestrian", "person": "pedestrian", "lorry": "truck", "van": "delivery"}
 _WORDS |= {name: name for name in _VCLASSES} | {"car": "passenger", "veh": "passenger"}
 _FILES_OF_TYPES = ("*.rou.xml", "*.add.xml")
@@ -129,7 +129,7 @@ def _kind_of(type_id: str, types: _Types, unknown: set[str]) -> _Kind | None:
     if type_id in TYPES:
         return (TYPES[type_id].label, *TYPES[type_id].size)
     name = type_id.lower()
-    if any(word in name.replace("trailer", "").replace("shipping", "") for word in _NO_ROAD_USERS):
+    if _NO_ROAD_USER.search(name):
         return None
     words = sorted((word for word in _WORDS if re.search(f"(?<![a-z]){word}|{word}(type)?(?![a-z])", name)), key=len)
     if not words:
@@ -153,7 +153,7 @@ def _types_beside(path: Path) -> _Types:
 
 def _kind(path: Path, given: dict[str, str]) -> _Kind | None:
     vclass = given.get("vClass", "passenger")
-    if any(vclass.startswith(word) for word in _NO_ROAD_USERS) or vclass == "cable_car":
+    if _NO_ROAD_USER.match(vclass):
         return None
     class_name, *usual = _VCLASSES.get(vclass, _CAR)
     if class_name == "pedestrian":

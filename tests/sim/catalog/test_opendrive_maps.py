@@ -169,18 +169,26 @@ def test_a_namespace_is_read_over(tmp_path: Path) -> None:
     assert len(converted(source, tmp_path / "out").getEdges(False)) == 2
 
 
-@pytest.mark.parametrize(("limit", "speed"), [({"max": "30", "unit": "km/h"}, "8.33"), ({"max": "no limit"}, "13.89")])
+@pytest.mark.parametrize(
+    ("limits", "speeds"),
+    [
+        ([{"max": "30", "unit": "km/h"}], {"8.33"}),
+        ([{"max": "30", "unit": "mph"}, {"max": "10"}], {"13.41", "10.00"}),
+        ([{"max": "no limit"}], {"13.89"}),
+    ],
+)
 def test_limits_of_roads_are_those_of_their_lanes_for_vehicles(
-    tmp_path: Path, limit: dict[str, str], speed: str
+    tmp_path: Path, limits: list[dict[str, str]], speeds: set[str]
 ) -> None:
     source = maps.straight(tmp_path)
     tree = ET.parse(source)
     for road in tree.iter("road"):
         for kind in road.findall("type"):
             road.remove(kind)
-        kind = ET.Element("type", {"s": "0", "type": "town"})
-        kind.append(ET.Element("speed", limit))
-        road.insert(1, kind)
+        for place, limit in enumerate(limits):
+            kind = ET.Element("type", {"s": f"{200 * place}", "type": "town"})
+            kind.append(ET.Element("speed", limit))
+            road.insert(1 + place, kind)
     tree.write(source)
     net = convert_map(source, tmp_path).net.read_text(encoding="utf-8")
-    assert set(re.findall(r'<lane id="[^:][^>]*? speed="([^"]*)"', net)) == {speed}
+    assert set(re.findall(r'<lane id="[^:][^>]*? speed="([^"]*)"', net)) == speeds

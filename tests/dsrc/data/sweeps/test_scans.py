@@ -64,7 +64,7 @@ def test_names_that_share_their_last_number_are_in_the_order_of_the_first(tmp_pa
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"yaw": 90.0}, r"boxes of frame 0: expected radians within 2 pi, found 90; is it in degrees\?"),
+        ({"yaw": 90.0}, r"boxes of frame 0: expected radians within 2 pi, found 90 in row 0; is it in degrees\?"),
         ({"frame": 1}, "frames: expected each frame once, found 1 twice"),
         ({"all": 100}, rf"frames: expected numbers of the scans, from 0 to {FRAMES - 1}, found 100 to"),
     ],

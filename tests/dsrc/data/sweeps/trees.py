@@ -252,8 +252,12 @@ def nuscenes(folder: Path) -> Path:
     return folder
 
 
-def rosbag(folder: Path, storage: str = "mcap") -> Path:
-    """Bag of rosbag2 by `rosbags`: two LiDARs on a car, `/tf` and `/tf_static`; no boxes."""
+def rosbag(folder: Path, storage: str = "mcap", before: str = "") -> Path:
+    """Bag of rosbag2 by `rosbags`: two LiDARs on a car, `/tf` and `/tf_static`; no boxes.
+
+    Args:
+        before: text before the names of the clouds' frames.
+    """
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -325,7 +329,7 @@ def rosbag(folder: Path, storage: str = "mcap") -> Path:
                 local = transform_points(invert(mount) @ mounts["top"], now.points[:, :3].astype(np.float64))
                 rows = np.column_stack([local, now.points[:, 3]]).astype(np.float32)
                 # A message is written a while after the sweep that it holds.
-                written = store.serialize_cdr(cloud(stamp, name, rows, now.ring), points_kind)
+                written = store.serialize_cdr(cloud(stamp, f"{before}{name}", rows, now.ring), points_kind)
                 writer.write(sensors[name], stamp + 7_000_000, written)
     return folder
 

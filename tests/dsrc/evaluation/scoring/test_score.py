@@ -263,7 +263,7 @@ def test_boxes_of_another_data_set_are_doubted(world: tuple[Path, dict[FrameKey,
         ),
         (
             '{"frames": [{"frame": 0, "boxes": [[1,2,3,4,5,6,0],[1,2,3,4,5,6,-90]], "score": [1,1]}]}',
-            r"frames\[0\].boxes: expected a yaw in radians, within 2 pi, found -90 in box 1",
+            r"frames\[0\].boxes: expected radians within 2 pi, found -90 in row 1",
         ),
         ('{"frames": [{"frame": 0, "boxes": [[1,2,3,0,5,6,7]], "scores": [1]}]}', "expected positive sizes, found 0 m"),
         ('{"frames": [{"frame": 0, "boxes": [], "scores": []}, {"frame": 0, "boxes": [], "scores": []}]}', "again"),
